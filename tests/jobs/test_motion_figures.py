@@ -127,7 +127,7 @@ def test_nobody_who_settled_gives_no_figures():
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=9.0)
     env.step(meter)
-    assert all(value in (None, {}) for value in meter.figures().as_dict().values())
+    assert all(value in (None, {}) for value in vars(meter.figures()).values())
 
 
 def test_every_key_has_a_definition():

@@ -10,7 +10,7 @@ import pytest
 import torch
 from patience import wait_until
 
-from wheelleg_exp.recording.reading.recording_digest import recording_digest
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.writing import live_view
 from wheelleg_exp.recording.writing.live_view import Follower, LiveView, viewer_command, viewer_environment
@@ -51,7 +51,7 @@ def end_viewer(tmp_path: Path) -> None:
             os.kill(int(pid.read_text()), signal.SIGKILL)
 
 
-def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> str:
+def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None = None) -> dict[str, str]:
     env.common_step_counter = 0
     env.reset(seed=0)
     env.event_manager.fired.clear()
@@ -69,11 +69,11 @@ def rolled(env, path: Path, command: list[str] | None, *, wait_for: Path | None 
     if live is not None:
         live.close()
     env.observers = []
-    return recording_digest(path)
+    return entity_digests(path)
 
 
 @pytest.fixture(scope="module")
-def alone(env, tmp_path_factory) -> str:
+def alone(env, tmp_path_factory) -> dict[str, str]:
     return rolled(env, tmp_path_factory.mktemp("alone") / "r.rrd", None)
 
 

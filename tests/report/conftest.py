@@ -47,7 +47,7 @@ def _compose_once(monkeypatch: pytest.MonkeyPatch) -> None:
             return compose(overrides, primary=primary, config_dirs=config_dirs, **more)
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
-    monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
+    monkeypatch.setattr("wheelleg_exp.report.settings_section.compose", once)
     monkeypatch.setattr("report.runs.compose", once)
 
 

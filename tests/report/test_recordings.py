@@ -21,7 +21,7 @@ def asked(monkeypatch) -> list[list[float]]:
         return [PICTURE for _ in times]
 
     monkeypatch.setattr("wheelleg_exp.report.pictures_section.shots", shots)
-    monkeypatch.setattr("wheelleg_exp.inspection.recording_pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.pictures_section.scenery", lambda recording: None)
     return moments
 
 
@@ -116,7 +116,7 @@ def test_without_a_renderer_the_report_names_the_missing_package(run, root, monk
         raise WheellegError("no backend draws here", expected="a driver")
 
     monkeypatch.setattr("wheelleg_exp.report.pictures_section.shots", nothing)
-    monkeypatch.setattr("wheelleg_exp.inspection.recording_pictures.scenery", lambda recording: None)
+    monkeypatch.setattr("wheelleg_exp.report.pictures_section.scenery", lambda recording: None)
     made = make_report(run.path, root)
     assert made.notes == ("no pictures of the robot: no backend draws here; expected a driver",)
     assert "no pictures of the robot: no backend draws here" in Page(made.path.read_text()).section("learning")

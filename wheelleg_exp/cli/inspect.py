@@ -234,7 +234,7 @@ def _statistics(args: argparse.Namespace, inspected: Inspected) -> Result:
         raise UsageError("the name of a recorded number is missing", key="--stats", expected=expected)
     found = term_statistics(inspected.recording, args.term, inspected.selection)
     words = units(inspected.recording, found, inspected.selection.env_id)
-    document = {name: {**value.as_dict(), "unit": words.get(name)} for name, value in found.items()}
+    document = {name: {**asdict(value), "unit": words.get(name)} for name, value in found.items()}
     return Result(document, lambda: print_statistics(found, words))
 
 
@@ -285,11 +285,12 @@ def _repair(args: argparse.Namespace, inspected: Inspected) -> Result:
 
 def _names(_args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.printing.terminal import print_table
-    from wheelleg_exp.inspection.recorded_numbers import number_list
+    from wheelleg_exp.inspection.recorded_numbers import number_rows
 
-    found = number_list(inspected.recording, inspected.selection.env_id)
-    rows = [(entry.name, str(entry.rows)) for entry in found]
-    return Result([asdict(entry) for entry in found], lambda: print_table(("number", "rows"), rows))
+    rows = number_rows(inspected.recording, inspected.selection.env_id)
+    table = [(name, str(count)) for name, count in rows.items()]
+    document = [{"name": name, "rows": count} for name, count in rows.items()]
+    return Result(document, lambda: print_table(("number", "rows"), table))
 
 
 def _plot(args: argparse.Namespace, inspected: Inspected) -> Result:

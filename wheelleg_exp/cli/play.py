@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     with ConsoleDisplay(quiet=True) as display:
         played = play(directory, checkpoint, args.overrides, args.command, display)
     if args.json:
-        figures = {**played.figures.as_dict(), **played.motion.as_dict()}
+        figures = {**played.figures.as_dict(), **vars(played.motion)}
         print_json({"run": str(directory.path), "folder": str(played.folder), "figures": figures})
     else:
         print(f"played {shown(played.checkpoint)} without exploration noise")

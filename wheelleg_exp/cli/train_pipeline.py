@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSetti
     from wheelleg_exp.run.run_lock import RunLock
 
     again = f"{tool('wheelleg')} resume {shown(index.folder)}"
-    with ConsoleDisplay(quiet=True) as display, RunLock(index.folder).held():
+    with ConsoleDisplay(quiet=True) as display, RunLock(index.folder):
         display.note(f"pipeline '{pipeline.tree['name']}': {', '.join(pipeline.phases)}; record: {shown(index.path)}")
         try:
             status = PipelineRunner(index, pipeline, display, stop).run()

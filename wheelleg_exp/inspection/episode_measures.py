@@ -53,24 +53,6 @@ def whole(found: Sequence[Episode]) -> list[Episode]:
     return [episode for episode in found if episode.is_from_start and episode.outcome != UNFINISHED]
 
 
-def survival(found: Sequence[Episode]) -> float | None:
-    """Return the share of the complete episodes that reached the time-out; None if there is no complete episode."""
-    kept = whole(found)
-    return sum(episode.outcome == TIMED_OUT for episode in kept) / len(kept) if kept else None
-
-
-def mean_duration(found: Sequence[Episode]) -> float | None:
-    """Return the mean duration of the complete episodes, s; None if there is no complete episode."""
-    kept = whole(found)
-    return float(np.mean([episode.duration_s for episode in kept])) if kept else None
-
-
-def mean_reward(found: Sequence[Episode]) -> float | None:
-    """Return the mean sum of rewards of the complete episodes; None if there is no complete episode."""
-    rewards = [episode.total_reward for episode in whole(found) if episode.total_reward is not None]
-    return float(np.mean(rewards)) if rewards else None
-
-
 def episodes(view: View) -> list[Episode]:
     """Return the recorded episodes of the selected environments, sorted by environment and time."""
     found = []

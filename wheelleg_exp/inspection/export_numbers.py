@@ -16,9 +16,10 @@ import pyarrow.parquet as pq
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import for_people, require_new, temporary_folder, write_new
-from wheelleg_exp.inspection.recorded_numbers import TIMES, find_number, frames_for, is_of_env
+from wheelleg_exp.inspection.recorded_numbers import find_number, frames_for, is_of_env
 from wheelleg_exp.inspection.row_selection import Selection, nothing_chosen
 from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, unit
+from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
 KINDS = ("parquet", "csv")
@@ -123,7 +124,7 @@ def _file_name(group: str) -> str:
 
 def _within(group: str, name: str) -> str:
     short = name.removeprefix(f"{group}.")
-    return name if short in (*TIMES, ENV) else short
+    return name if short in (*TIMELINES, ENV) else short
 
 
 def _described(table: pa.Table, entities: Mapping[str, str], recording: Recording, env_id: int | None) -> pa.Table:
@@ -131,7 +132,7 @@ def _described(table: pa.Table, entities: Mapping[str, str], recording: Recordin
     fields = [f.with_metadata({"unit": w} if w else None) for f, w in zip(table.schema, words, strict=True)]
     columns = list(table.columns)
     if env_id is not None:
-        place = sum(name in TIMES for name in table.column_names)
+        place = sum(name in TIMELINES for name in table.column_names)
         fields.insert(place, pa.field(ENV, pa.int64()))
         columns.insert(place, pa.array([env_id] * table.num_rows, pa.int64()))
     about: dict[str, Any] = {"recording_id": recording.recording_id, "purpose": recording.purpose}

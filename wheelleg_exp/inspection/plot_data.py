@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.plain_data import Unreadable, yaml_value
-from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, TRAINING, join
+from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, TRAINING, join, unescaped
 from wheelleg_exp.recording.reading.arrow_values import as_number
-from wheelleg_exp.recording.reading.number_groups import is_numeric
+from wheelleg_exp.recording.reading.number_groups import is_numeric, parts_of
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
 Numbers = NDArray[np.float64]
 Scalars = Mapping[str, tuple[Any, Any]]
 _LARGEST = 1e100
+_SHOWN_SAMPLES = 4
 _LONGEST_CONFIG = 1 << 20  # characters
 
 
@@ -98,14 +99,14 @@ class Source:
         """Return the names of the direct children of a Rerun entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
-        return list(dict.fromkeys(_plain(tail.split("/")[0]) for tail in tails))
+        return list(dict.fromkeys(unescaped(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
         """Return the Rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
 
         The name of a training scalar can omit the prefix ``training.`` and contain slashes instead of dots.
         """
-        parts = parts_of(term) if "/" in term else term.split(".")
+        parts = [unescaped(part) for part in parts_of(term)] if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
             if self.recording.has_rows(entity):
                 return entity
@@ -143,7 +144,7 @@ class Source:
             series = self._series(entity)
             if series.values.size:
                 x = series.iteration if series.iteration is not None else series.step
-                found[_plain(entity.removeprefix(head))] = (x, series.first)
+                found[unescaped(entity.removeprefix(head))] = (x, series.first)
         return found
 
     @property
@@ -160,13 +161,11 @@ class Source:
         iterations: list[int | None] = [None] * len(clock.step) if clock.iteration is None else clock.iteration.tolist()
         return [Sample(int(clock.step[a]), int(clock.step[b - 1]), iterations[a]) for a, b in pairwise(cuts)]
 
-    def shown_samples(self, count: int = 4) -> list[Sample]:
-        """Return up to ``count`` samples: the first sample, the last sample, and evenly spaced samples in between."""
+    def shown_samples(self) -> list[Sample]:
+        """Return up to 4 samples: the first sample, the last sample, and evenly spaced samples in between."""
         samples = self.samples()
-        if len(samples) <= count:
-            return samples
-        picked = np.linspace(0, len(samples) - 1, count).round().astype(int)
-        return [samples[i] for i in dict.fromkeys(picked.tolist())]
+        picked = np.linspace(0, len(samples) - 1, min(len(samples), _SHOWN_SAMPLES)).round().astype(int)
+        return [samples[i] for i in picked]
 
     def clock(self) -> Series | None:
         """Return a series, such as ``qpos``, with a row for each recorded control step; None without such a series."""
@@ -177,8 +176,7 @@ class Source:
 
     def fired(self) -> dict[str, Series]:
         """Return each termination term's recorded values by name; a value above 0 means that the term fired."""
-        found = {name: self.maybe("terminations", name) for name in self.below("terminations")}
-        return {name: series for name, series in found.items() if series is not None}
+        return self._terms("terminations")
 
     def ends(self) -> NDArray[np.int64]:
         """Return the control steps at which episodes of the plotted environment ended."""
@@ -187,16 +185,15 @@ class Source:
 
     def weighted(self) -> dict[str, Series]:
         """Return the weighted values of each reward term, 1/s, by the term's name, without the sum of all terms."""
-        found = {name: self.maybe("rewards", name) for name in self.below("rewards") if name != "total"}
+        return {name: series for name, series in self._terms("rewards").items() if name != "total"}
+
+    def _terms(self, group: str) -> dict[str, Series]:
+        found = {name: self.maybe(group, name) for name in self.below(group)}
         return {name: series for name, series in found.items() if series is not None}
 
     def target_height(self) -> float | None:
         """Return the base's target height, m, from the recorded reward terms; None if no term has a target height."""
-        for term in _mapping(_mapping(self.config.get("env")).get("rewards")).values():
-            height = as_number(_mapping(term).get("target_height"))
-            if height is not None:
-                return height
-        return None
+        return target_height(_mapping(self.config.get("env")).get("rewards"))
 
     def drive(self, joint: str, name: str) -> float | None:
         """Return a property of a joint's actuator, such as ``effort_limit``; None if the property was not recorded."""
@@ -216,12 +213,16 @@ def chosen_rows(
     selection: Selection, step: NDArray[np.int64], time: Numbers, iteration: NDArray[np.int64] | None
 ) -> NDArray[np.intp]:
     """Return the indices of the rows whose time and training iteration ``selection`` includes."""
-    if selection.begin is None and selection.end is None and selection.iterations is None:
-        return np.arange(len(step))
     columns = {STEP: step, SIM_TIME: time, "row": np.arange(len(step))}
     if iteration is not None:
         columns[ITERATION] = iteration
     return np.asarray(selection.apply(pa.table(columns)).column("row"), dtype=np.intp)
+
+
+def target_height(rewards: Any) -> float | None:
+    """Return the base's target height, m, from the config section of the reward terms; None without a target height."""
+    heights = (as_number(_mapping(term).get("target_height")) for term in _mapping(rewards).values())
+    return next((height for height in heights if height is not None), None)
 
 
 def drawable(values: Any) -> Numbers:
@@ -245,15 +246,6 @@ def seconds(table: pa.Table) -> Numbers:
     if pa.types.is_floating(column.type):
         return np.asarray(column, dtype=np.float64)
     return np.asarray(column.cast(pa.duration("ns")).cast(pa.int64()), dtype=np.float64) / 1e9
-
-
-def parts_of(entity: str) -> list[str]:
-    """Split a Rerun entity path into its names, without escape characters."""
-    return [_plain(part) for part in re.split(r"(?<!\\)/", entity.strip("/"))]
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"\\(.)", r"\1", name)
 
 
 def _integers(table: pa.Table, name: str) -> NDArray[np.int64]:

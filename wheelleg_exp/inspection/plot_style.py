@@ -135,14 +135,25 @@ def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float
     ``size`` is the width and height of the figure, inches. By default, the figure is as wide as a page, and as high as
     the sum of its panels' heights.
     """
-    with styled():
-        return _tiled([(title, panels)], size)
+    return page([(title, panels)], size)
 
 
-def page(sections: Sequence[tuple[str, Sequence[Panel]]]) -> Figure:
-    """Return a matplotlib figure with several groups of panels, each with a title, from top to bottom."""
-    with styled():
-        return _tiled(sections)
+@styled()
+def page(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[float, float] | None = None) -> Figure:
+    """Return a matplotlib figure with groups of panels, each with an optional title, from top to bottom."""
+    sections = [(title, _shown(panels)) for title, panels in sections]
+    rows = [_rows(panels) for _, panels in sections]
+    heights = [sum(max(p.height for p in row) for row in section) for section in rows]
+    heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
+    width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
+    figure = Figure(figsize=size or (width, sum(heights)))
+    several = len(sections) > 1
+    parts: Any = figure.subfigures(len(sections), 1, height_ratios=heights) if several else [figure]
+    for part, (title, _), section in zip(parts, sections, rows, strict=True):
+        if title:
+            part.suptitle(title, x=0.012, ha="left", fontsize=12, fontweight="bold", color=INK)
+        _fill(part, section)
+    return figure
 
 
 def figure_svg(figure: Figure) -> str:
@@ -173,22 +184,6 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
         FigureCanvasAgg(figure)
         figure.savefig(buffer, format=kind, dpi=_DPI, metadata=metadata)
     return buffer.getvalue()
-
-
-def _tiled(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[float, float] | None = None) -> Figure:
-    sections = [(title, _shown(panels)) for title, panels in sections]
-    rows = [_rows(panels) for _, panels in sections]
-    heights = [sum(max(p.height for p in row) for row in section) for section in rows]
-    heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
-    width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
-    figure = Figure(figsize=size or (width, sum(heights)))
-    several = len(sections) > 1
-    parts: Any = figure.subfigures(len(sections), 1, height_ratios=heights) if several else [figure]
-    for part, (title, _), section in zip(parts, sections, rows, strict=True):
-        if title:
-            part.suptitle(title, x=0.012, ha="left", fontsize=12, fontweight="bold", color=INK)
-        _fill(part, section)
-    return figure
 
 
 def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:

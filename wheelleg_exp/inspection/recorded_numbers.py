@@ -6,8 +6,7 @@ An example of a recorded number's name is ``rewards.base_height``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +14,8 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.inspection.row_selection import Selection, nothing_chosen
-from wheelleg_exp.recording.layout import BRANCH, ITERATION, SIM_TIME, STEP, unit
+from wheelleg_exp.recording.layout import BRANCH, unit
+from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.number_groups import Number
 from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
@@ -55,10 +55,6 @@ class Statistics:
     first_at: Moment | None
     last_at: Moment | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the statistics of a recorded number as a dictionary for JSON."""
-        return asdict(self)
-
 
 def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None = None) -> Statistics:
     """Return the statistics of recorded ``values``, (n,); ``at`` returns the moment of the value with a given index."""
@@ -81,9 +77,6 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
     return Statistics(*counts, mean, std, rms, *extremes, quantiles, low_at, high_at, first, last)
 
 
-TIMES = (STEP, SIM_TIME, ITERATION)
-
-
 @dataclass(frozen=True)
 class Frames:
     """Recorded rows of one environment. The columns of ``table`` are timelines and recorded numbers (float64)."""
@@ -97,7 +90,7 @@ class Frames:
     @property
     def names(self) -> list[str]:
         """The names of the recorded numbers in a table of frames."""
-        return [name for name in self.table.column_names if name not in TIMES]
+        return [name for name in self.table.column_names if name not in TIMELINES]
 
     def column(self, name: str) -> NDArray:
         """Return the n values, (n,), of the recorded number or timeline with the given name."""
@@ -106,7 +99,7 @@ class Frames:
     def moment(self, row: int) -> Moment:
         """Return the control step, simulated time, and training iteration at which a row was recorded."""
         present = self.table.column_names
-        step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMES)
+        step, time, iteration = (self.table.column(n)[row].as_py() if n in present else None for n in TIMELINES)
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
@@ -203,17 +196,9 @@ def is_of_env(number: Number) -> bool:
     return BRANCH.match(number.entity) is not None
 
 
-@dataclass(frozen=True)
-class NumberEntry:
-    """One recorded number: its name, and its number of rows."""
-
-    name: str
-    rows: int
-
-
-def number_list(recording: Recording, env_id: int | None = None) -> list[NumberEntry]:
-    """Return one environment's numbers, and numbers that all environments share, such as training scalars, by name."""
-    return [NumberEntry(n.name, recording.count(n.entity)) for n in recording.all_numbers(env_id).values()]
+def number_rows(recording: Recording, env_id: int | None) -> dict[str, int]:
+    """Return how many rows each number of an environment has, and each number that all environments share, by name."""
+    return {name: recording.count(number.entity) for name, number in recording.all_numbers(env_id).items()}
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import gaussian_filter1d
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.inspection.plot_data import Numbers, Sample, Source, seconds
@@ -303,9 +304,7 @@ def _gauss(path: Array, time: Array) -> Array:
         return path
     spacing = max(float(np.median(np.diff(time))), 1e-6)
     reach = max(1, int(np.ceil(3 * _SMOOTH_S / spacing)))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * spacing / _SMOOTH_S) ** 2)
-    padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
-    return np.stack([np.convolve(column, kernel / kernel.sum(), mode="valid") for column in padded.T], axis=1)
+    return np.asarray(gaussian_filter1d(path, _SMOOTH_S / spacing, axis=0, mode="nearest", radius=reach))
 
 
 _INK, _BACK = (31, 41, 51, 255), (255, 255, 255, 205)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
+from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection import recorded_scene
 from wheelleg_exp.inspection.plot_data import Sample, Source
@@ -56,8 +56,6 @@ def scenery(
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
     motion = motion_of(source, scene)
-    if not len(motion.step):
-        raise RunDirectoryError(f"'{recording.path}' contains no motion", expected="a recording with frames")
     iteration_at_start = None if motion.iteration is None else int(motion.iteration[0])
     everything = Sample(int(motion.step[0]), int(motion.step[-1]), iteration_at_start)
     return Scenery(source, scene, motion, source.samples() or [everything])

@@ -11,11 +11,10 @@ import numpy as np
 
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.inspection import episode_measures as measures
-from wheelleg_exp.inspection.episode_measures import Episode, episodes, mean_duration, mean_reward, survival, whole
+from wheelleg_exp.inspection.episode_measures import Episode, episodes, whole
 from wheelleg_exp.inspection.recorded_numbers import Statistics, View
 from wheelleg_exp.inspection.row_selection import Length, Selection
-from wheelleg_exp.recording.layout import BRANCH, ITERATION, TRAINING
-from wheelleg_exp.recording.reading.number_groups import parts_of, unescaped
+from wheelleg_exp.recording.layout import BRANCH, ITERATION, TRAINING, key_below, unescaped
 from wheelleg_exp.recording.reading.recording_contents import Health
 from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
@@ -63,8 +62,8 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
     """Return the trend of every training scalar over the selected iterations, sorted by the scalar's name."""
     found = []
     for entity in recording.entities():
-        parts = [unescaped(part) for part in parts_of(entity)]
-        if parts[0] != TRAINING or not {"scalars", ITERATION} <= recording.columns(entity):
+        name = key_below(TRAINING, entity)
+        if name is None or not {"scalars", ITERATION} <= recording.columns(entity):
             continue
         table = selection.apply(recording.numbers(entity))
         values, iterations = np.asarray(table.columns[-1]), np.asarray(table.column(ITERATION))
@@ -73,8 +72,7 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
             low, high = int(np.argmin(values)), int(np.argmax(values))
             first, last, lowest, highest = (float(values[row]) for row in (0, -1, low, high))
             last_at, lowest_at, highest_at = (int(iterations[row]) for row in (-1, low, high))
-            name, numbers = "/".join(parts[1:]), (first, last, last_at, lowest, highest, lowest_at, highest_at)
-            found.append(Trend(name, len(values), *numbers))
+            found.append(Trend(name, len(values), first, last, last_at, lowest, highest, lowest_at, highest_at))
     return found
 
 
@@ -110,8 +108,10 @@ def _stretches(found: Sequence[Episode]) -> Iterator[list[Episode]]:
 def _sample(found: list[Episode]) -> Sample:
     iterations = [i for e in found for i in (e.iteration, e.last_iteration) if i is not None]
     first_step, last_step = min(e.first_step for e in found), max(e.last_step for e in found)
-    counts, means = (len(whole(found)), len(found) - len(whole(found))), (mean_duration(found), mean_reward(found))
-    return Sample(min(iterations), max(iterations), first_step, last_step, *counts, survival(found), *means)
+    figures = episode_figures(found)
+    means = (figures.survival, figures.mean_duration_s, figures.mean_reward)
+    counts = (figures.whole, figures.count - figures.whole)
+    return Sample(min(iterations), max(iterations), first_step, last_step, *counts, *means)
 
 
 @dataclass(frozen=True)
@@ -244,6 +244,7 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
     """Return statistics of recorded episodes, such as the share of episodes that reached the time-out."""
     kept = whole(found)
     outcomes = Counter(episode.outcome for episode in kept)
+    rewards = [episode.total_reward for episode in kept if episode.total_reward is not None]
     return EpisodeFigures(
         count=len(found),
         whole=len(kept),
@@ -251,11 +252,11 @@ def episode_figures(found: list[Episode]) -> EpisodeFigures:
         unfinished=sum(episode.outcome == measures.UNFINISHED for episode in found),
         failed=outcomes[measures.FAILED],
         timed_out=outcomes[measures.TIMED_OUT],
-        survival=survival(found),
+        survival=outcomes[measures.TIMED_OUT] / len(kept) if kept else None,
         ended_by=dict(Counter(ending(episode.ended_by) for episode in kept)),
-        mean_duration_s=mean_duration(found),
+        mean_duration_s=float(np.mean([episode.duration_s for episode in kept])) if kept else None,
         longest_s=max((episode.duration_s for episode in kept), default=None),
-        mean_reward=mean_reward(found),
+        mean_reward=float(np.mean(rewards)) if rewards else None,
     )
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_list import effective_status
 from wheelleg_exp.run.run_lock import RUN_LOCK, RunLock
 
 RECORDING = "recording.rrd"
@@ -28,21 +29,16 @@ class Target:
     @property
     def status(self) -> str | None:
         """The training run's status, such as ``running``; None if the file is not the recording of a training."""
-        from wheelleg_exp.run.run_list import effective_status
-
         if self.run is None or self.path.resolve() != self.run.recording.resolve():
             return None
         return effective_status(self.run.manifest())
 
-    @contextmanager
-    def resting(self) -> Iterator[None]:
-        """Lock the recording's run directory inside a ``with`` block, so that no process can resume the run."""
-        run = self.run if self.status is not None else None
+    def resting(self) -> AbstractContextManager[Any]:
+        """Return a lock of the recording's run directory; while it is locked, no process can resume the run."""
         # Skip the lock if the user has no write access to the lock file, because this user cannot resume the run.
-        with ExitStack() as stack:
-            if run is not None and os.access(run.path / RUN_LOCK, os.W_OK):
-                stack.enter_context(RunLock(run).held())
-            yield
+        if self.run is None or self.status is None or not os.access(self.run.path / RUN_LOCK, os.W_OK):
+            return nullcontext()
+        return RunLock(self.run)
 
     def others(self) -> list[Path]:
         """Return the paths of all recordings of the same run except this recording."""

@@ -34,12 +34,8 @@ from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
 
-_CAUSES = (
-    "adapter",
-    "panic",
-    "error",
-    "failed",
-)  # If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
+# If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
+_CAUSES = ("adapter", "panic", "error", "failed")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -86,24 +82,27 @@ _PIECE = 1 << 20
 Files = Mapping[str, tuple[str, bytes]]
 
 
-class WebViewer:
+class WebViewer(ThreadingHTTPServer):
     """A local web server for Rerun's web viewer and one recording, by default at a free port."""
+
+    daemon_threads = True
+    allow_reuse_address = False
 
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
             raise RunDirectoryError(f"the recording '{path}' does not exist", expected="a Rerun recording")
         files = viewer_files()
         try:
-            self._server = _Server((LOOPBACK, port), partial(_Handler, files, Path(path)))
+            super().__init__((LOOPBACK, port), partial(_Handler, files, Path(path)))
         except (OSError, OverflowError) as error:
             message = f"cannot listen on port {port}: {error}"
             raise WheellegError(message, key="--port", expected="a free port, or none") from error
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
+        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
 
     @property
     def port(self) -> int:
         """The port of the server."""
-        return int(self._server.server_address[1])
+        return self.server_port
 
     @property
     def url(self) -> str:
@@ -115,9 +114,12 @@ class WebViewer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._server.shutdown()
-        self._server.server_close()
+        self.shutdown()
+        self.server_close()
         self._thread.join()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        pass  # Ignore a closed connection, because a browser can close its connection at any time.
 
 
 def viewer_files() -> Files:
@@ -142,14 +144,6 @@ def _fetched(port: int, name: str) -> tuple[str, bytes]:
     if not name:
         body = _ELSEWHERE.sub("", body.decode()).encode()
     return kind, body
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    allow_reuse_address = False
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        pass  # Ignore a closed connection, because a browser can close its connection at any time.
 
 
 class _Handler(BaseHTTPRequestHandler):

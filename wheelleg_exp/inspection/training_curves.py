@@ -113,13 +113,10 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
 def smooth(values: Numbers) -> Numbers:
     """Return a centred moving mean; its window contains 1/40 of all values, but fewer at the ends of the curve."""
     half = max(1, len(values) // _WINDOWS // 2)
-    known = np.isfinite(values)
-    sums = np.concatenate(([0.0], np.cumsum(np.where(known, values, 0.0))))
-    counts = np.concatenate(([0], np.cumsum(known)))
-    low = np.maximum(np.arange(len(values)) - half, 0)
-    high = np.minimum(np.arange(len(values)) + half + 1, len(values))
-    inside = counts[high] - counts[low]
-    return np.where(inside > 0, (sums[high] - sums[low]) / np.maximum(inside, 1), np.nan)
+    known, window = np.isfinite(values), np.ones(2 * half + 1)
+    sums = np.convolve(np.where(known, values, 0.0), window, "same")
+    counts = np.convolve(known, window, "same")
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
 def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:

@@ -98,8 +98,7 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
     lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
     if path in lists:
         return lists[path]
-    gone = [source for key, source in places.deleted.items() if split_path(key)[: len(keys)] == keys]
-    found = places.below(path) or gone
+    found = places.below(path) or places.deleted_below(path)
     return found[0].where if found else lists.get(dotted(keys[:-1]))
 
 

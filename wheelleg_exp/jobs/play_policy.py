@@ -140,7 +140,7 @@ def play(
             recording.warn(display.note)
         with recording or nullcontext():
             _roll(adapter, prepared.policy, meter, failures, display)
-            content |= meter.figures().as_dict() | motion.figures().as_dict()
+            content |= meter.figures().as_dict() | vars(motion.figures())
             if recording is not None:
                 recording.figures(content)
         dataset = close_dataset(folder / "dataset", env)

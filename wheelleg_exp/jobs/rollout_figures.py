@@ -180,10 +180,6 @@ class MotionFigures:
     at_limit: dict[str, float]  # maps each actuator group to its share of physics steps with saturated torque
     sign_changes_per_s: dict[str, float]  # by actuator group
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the rollout's metrics as a dictionary of numbers."""
-        return asdict(self)
-
 
 class MotionMeter:
     """Measures motion in each environment's first episode, without the first ``settle_s`` seconds."""
@@ -196,8 +192,8 @@ class MotionMeter:
         self._groups = {name: actuator.joint_ids for name, actuator in robot.actuators.items()}
         joints = robot.data.joint_pos.shape[1]
 
-        def row(*shape: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
-            return torch.zeros(n, *shape, dtype=dtype, device=device)
+        def row(*shape: int) -> torch.Tensor:
+            return torch.zeros(n, *shape, dtype=torch.float64, device=device)
 
         self._running = torch.ones(n, dtype=torch.bool, device=device)
         self._settled, self._before = torch.zeros_like(self._running), torch.zeros_like(self._running)
@@ -211,7 +207,6 @@ class MotionMeter:
         env, data = self._env, self._env.scene.robot.data
         numbers = torch.isfinite(data.root_pos_w).all(dim=1) & torch.isfinite(data.applied_torque).all(dim=1)
         now = self._running & numbers & (env.episode_length_buf > self._settle_steps)
-        data = self._env.scene.robot.data
         place, heading = data.root_pos_w[:, :2].double(), data.heading_w.double()
         first = now & ~self._settled
         self._place = torch.where(first.unsqueeze(1), place, self._place)

@@ -3,80 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, Protocol, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
 
-from wheelleg_exp.child_process import Child, Event, listen
+from wheelleg_exp.child_process import Event
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import while_running
-from wheelleg_exp.jobs.training_job import JobRequest, job_program
+from wheelleg_exp.jobs.sweep_queue import Job, LocalLauncher, Queue
+from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.stop_request import StopRequest
 
 _WAIT_S, _PATIENCE_S = 0.2, 10.0
-
-
-class Job(Protocol):
-    """A job that was started. ``ended`` is the job's last event, and None until the job sends this event."""
-
-    ended: Event | None
-
-    def over(self) -> bool:
-        """Return whether the job has ended, with or without success."""
-
-    def ask_to_stop(self) -> None:
-        """Ask the sweep job to stop after the job's current training iteration."""
-
-    def interrupt(self) -> None:
-        """Stop the sweep job without waiting for the end of the job's training iteration."""
-
-    def kill(self) -> None:
-        """Kill the job."""
-
-    def close(self) -> None:
-        """Close the connection to the job's process."""
-
-    def describe_death(self) -> str:
-        """Return a text about the death of a job's process, such as 'was ended by SIGKILL'."""
-
-
-class Launcher(Protocol):
-    """Starts the jobs of a sweep, and receives the events that the jobs send.
-
-    If ``queued`` is true, jobs wait in a queue, and each job sends the event ``began`` when its process starts.
-    """
-
-    queued: bool
-
-    def start(self, number: int, request: JobRequest) -> Job:
-        """Start the job ``number`` of the sweep's index."""
-
-    def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield the events that the sweep's jobs have sent; wait at most ``wait_s`` seconds for the first event."""
-
-
-class LocalLauncher:
-    """Runs sweep jobs as child processes on this machine. If this process is killed, its child processes stop."""
-
-    queued = False
-
-    def __init__(self, program: Sequence[str] | None = None) -> None:
-        self._program = program or job_program()
-
-    def start(self, number: int, request: JobRequest) -> Job:
-        """Start the child process that runs a job."""
-        del number
-        # Pass ``os.environ``, because C libraries may have changed the environment variables of this process.
-        return Child(self._program, request.line(), os.environ)
-
-    def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
-        """Yield the events that the child processes of the jobs have sent."""
-        return listen(cast(Collection[Child], jobs), wait_s)
 
 
 class SweepDisplay(Protocol):
@@ -110,7 +52,7 @@ class SweepRunner:
         at_once: int,
         display: SweepDisplay,
         stop: StopRequest,
-        launcher: Launcher | None = None,
+        launcher: LocalLauncher | Queue | None = None,
     ) -> None:
         self._index = index
         self._waiting = deque(zip(index.jobs, requests, strict=True))
@@ -118,7 +60,7 @@ class SweepRunner:
         if at_once > 1:
             share_cores()
         self._display, self._stop = display, stop
-        self._launcher: Launcher = launcher or LocalLauncher()
+        self._launcher = launcher or LocalLauncher()
         self._running: dict[Job, dict[str, Any]] = {}
 
     @while_running()

@@ -3,6 +3,7 @@
 A sweep and its jobs exchange files in job folders, so all machines need a shared file system. The file ``request.json``
 in a job's folder describes the job. A job appends its events to its file ``events.jsonl``. The file ``stop`` in a job's
 folder asks the job to stop. The packages submitit and Ray are optional, and imported only when a launcher needs them.
+``LocalLauncher`` runs the jobs of a sweep on this machine, without a queue.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -20,7 +21,6 @@ from typing import Any, Protocol, cast
 from wheelleg_exp.child_process import Child, Event, listen, parse_event
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import write_json, write_text
-from wheelleg_exp.jobs.run_sweep import Job, Launcher, LocalLauncher
 from wheelleg_exp.jobs.training_job import JobRequest, job_program
 from wheelleg_exp.run.environment import replay_environ, variables
 
@@ -173,6 +173,28 @@ class QueuedJob:
     def describe_death(self) -> str:
         """Return the reason that the queue gives for the end of the job."""
         return "was never submitted" if self.ticket is None else self.ticket.why()
+
+
+Job = Child | QueuedJob
+
+
+class LocalLauncher:
+    """Runs sweep jobs as child processes on this machine. If this process is killed, its child processes stop."""
+
+    queued = False  # True for a launcher whose jobs wait in a queue, and send the event ``began`` when they start.
+
+    def __init__(self, program: Sequence[str] | None = None) -> None:
+        self._program = program or job_program()
+
+    def start(self, number: int, request: JobRequest) -> Job:
+        """Start the child process that runs a job."""
+        del number
+        # Pass ``os.environ``, because C libraries may have changed the environment variables of this process.
+        return Child(self._program, request.line(), os.environ)
+
+    def listen(self, jobs: Collection[Job], wait_s: float) -> Iterator[tuple[Job, Event]]:
+        """Yield the events that the jobs have sent; wait at most ``wait_s`` seconds for the first event."""
+        return listen(cast(Collection[Child], jobs), wait_s)
 
 
 class Queue:
@@ -329,7 +351,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> Launcher:
+def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> LocalLauncher | Queue:
     """Return the launcher for a config name of Hydra's group ``hydra/launcher``, such as ``submitit_slurm``."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)

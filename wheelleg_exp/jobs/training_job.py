@@ -14,7 +14,9 @@ from typing import Literal
 from wheelleg_exp.child_process import Child, Event, EventPipe, job_events, serve_job
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.job_display import PipeDisplay
-from wheelleg_exp.machine import own_environ
+from wheelleg_exp.machine import keep_kernels, own_environ
+from wheelleg_exp.packages import with_current
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 
 # The child process imports modules from the same folders as the parent process (``sys.path``).
@@ -64,9 +66,9 @@ def serve(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
 
 
 def _train(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
+    # A resume calls ``keep_kernels`` before the first import of NumPy, so this module imports no config module.
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
     from wheelleg_exp.config.composing.compose_sweep import digest_of
-    from wheelleg_exp.packages import with_current
 
     folders = with_current([Path(folder) for folder in request.config_dirs])
     composed = compose_valid(request.overrides, config_dirs=folders)
@@ -88,9 +90,6 @@ def _train(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
 
 
 def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
-    from wheelleg_exp.machine import keep_kernels
-    from wheelleg_exp.run.run_directory import RunDirectory
-
     run_directory = RunDirectory.open(request.run, request.root)
     keep_kernels(run_directory.manifest().data.get("environment_variables") or {})
 
@@ -105,8 +104,6 @@ def _resume(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
 
 def _evaluate(pipe: EventPipe, request: JobRequest, stop: StopRequest) -> None:
     from wheelleg_exp.jobs.evaluate_policy import evaluate_run
-    from wheelleg_exp.packages import with_current
-    from wheelleg_exp.run.run_directory import RunDirectory
 
     run, folders = RunDirectory.open(request.run, request.root), [Path(folder) for folder in request.config_dirs]
     words, checkpoint = request.overrides, run.inside(request.checkpoint)

@@ -84,7 +84,12 @@ def unit(entity: str) -> str | None:
     return None
 
 
+def unescaped(part: str) -> str:
+    """Remove the escape characters from a name in a Rerun entity path."""
+    return re.sub(r"\\(.)", r"\1", part)
+
+
 def key_below(root: str, entity: str) -> str | None:
     """Return the scalar's key, such as ``Loss/value``, for a Rerun entity path below ``root``; None for other paths."""
     head = f"{root}/"
-    return entity.removeprefix(head).replace("\\", "") if entity.startswith(head) else None
+    return unescaped(entity.removeprefix(head)) if entity.startswith(head) else None

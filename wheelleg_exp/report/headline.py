@@ -8,6 +8,7 @@ from datetime import datetime
 from typing import Any
 
 from wheelleg_exp.definitions import LAST, settled_window
+from wheelleg_exp.inspection.plot_data import target_height
 from wheelleg_exp.report.page_blocks import Card, Tone
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import counted, duration, exact, moment, number, numbers, percent
@@ -61,16 +62,6 @@ def seconds(subject: Subject) -> float | None:
     if not (isinstance(started, str) and isinstance(ended, str)):
         return None
     return (datetime.fromisoformat(ended) - datetime.fromisoformat(started)).total_seconds()
-
-
-def target_height(subject: Subject) -> float | None:
-    """Return the target height of the robot's base, m, from the task's reward terms; None without a target height."""
-    rewards = subject.setting("env.rewards")
-    for term in rewards.values() if isinstance(rewards, Mapping) else ():
-        height = term.get("target_height") if isinstance(term, Mapping) else None
-        if isinstance(height, (int, float)):
-            return float(height)
-    return None
 
 
 def time_outs(subject: Subject) -> list[str]:
@@ -134,7 +125,7 @@ def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
     elif stood == episodes:
         some = f"all {counted(episodes, 'episode')}"
     text = f"{who} stays up through {some}{full}" if stood else f"{who} falls in {every}{full}"
-    error, goal = figures.get("height_rmse_m"), target_height(subject)
+    error, goal = figures.get("height_rmse_m"), target_height(subject.setting("env.rewards"))
     if not stood or not isinstance(error, (int, float)) or goal is None:
         return text + "."
     when = settled_window(figures.get("settle_s"))
@@ -159,7 +150,8 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
     if isinstance(survival, (int, float)) and episodes:
         note = f"{number(round(survival * episodes))} of {counted(episodes, 'episode')} reached the time-out"
         yield _with_unit("Survival", percent(survival), note, tone_of(survival))
-    height, error, goal = figures.get("height_mean_m"), figures.get("height_rmse_m"), target_height(subject)
+    height, error = figures.get("height_mean_m"), figures.get("height_rmse_m")
+    goal = target_height(subject.setting("env.rewards"))
     if isinstance(height, (int, float)):
         note = ""
         if goal and isinstance(error, (int, float)):

@@ -10,15 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
+from matplotlib.figure import Figure
+
+from wheelleg_exp.inspection.plot_style import Panel, figure_svg, styled, tile
 from wheelleg_exp.report.page_blocks import Plot, Plots
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from wheelleg_exp.inspection.plot_style import Panel
 
 _SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _SHAPES = """
@@ -104,8 +101,6 @@ def drawn(panels: Iterable[Panel], prefix: str, *, paired: bool = False) -> Plot
 
 
 def _plot(panel: Panel, prefix: str) -> Plot:
-    from wheelleg_exp.inspection.plot_style import figure_svg, styled, tile
-
     height = max(_HEIGHT, min(0.85 * panel.height, 4.0))
     figure = tile([replace(panel, title="")], size=(_WIDTH, height))
     axes = figure.axes[0]

@@ -4,49 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from wheelleg_exp.definitions import MOTION, recorded_headings, rollout_label, settled_window
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.inspection.episode_measures import EffortUse, ForceExtreme, TrackingError
+from wheelleg_exp.inspection.plot_data import Source
+from wheelleg_exp.inspection.plot_style import Panel
+from wheelleg_exp.inspection.recording_plots import PLOTS
+from wheelleg_exp.inspection.recording_summary import Summary, summarize
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.report.headline import ended, played, tone_of
 from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text
 from wheelleg_exp.report.report_subject import AGENT, Subject
 from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
 
-if TYPE_CHECKING:
-    from wheelleg_exp.inspection.episode_measures import EffortUse, ForceExtreme, TrackingError
-    from wheelleg_exp.inspection.plot_style import Panel
-    from wheelleg_exp.inspection.recording_summary import Summary
-    from wheelleg_exp.recording.reading.recording_reader import Recording
-
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
 _HIGH, _FULL = 0.01, 0.1  # Mark a joint yellow if it is at its effort limit for 1 % of the time, red for 10 %.
-
-
-@dataclass(frozen=True)
-class Measured:
-    """The tables that a report shows about a recording; a table is empty if the recording lacks its data."""
-
-    scope: Sequence[Block] = ()
-    tracking: Sequence[Block] = ()
-    forces: Sequence[Block] = ()
-    efforts: Sequence[Block] = ()
-
-
-def measured(recording: Recording) -> Measured:
-    """Return the tables of a report about a recording; all tables are empty if the recording's data are damaged."""
-    from wheelleg_exp.inspection.recording_summary import summarize
-
-    try:
-        found = summarize(recording)
-    except RunDirectoryError:
-        return Measured()
-    return Measured(_scope(found), _tracking(found.tracking), _forces(found.forces), _efforts(found.efforts))
 
 
 def _scope(found: Summary) -> list[Block]:
@@ -69,10 +47,11 @@ def health(recording: Recording) -> list[Block]:
 
 
 def _tracking(errors: Sequence[TrackingError]) -> list[Block]:
-    rows = [
-        [Cell(e.name, code=True), *(Cell(_with(value, e.name), number=True) for value in (e.rmse, e.mean, e.largest))]
-        for e in errors
-    ]
+    rows = []
+    for error in errors:
+        unit = _UNITS.get(error.name, "")
+        texts = [f"{number(value)} {unit}".strip() for value in (error.rmse, error.mean, error.largest)]
+        rows.append([Cell(error.name, code=True), *(Cell(text, number=True) for text in texts)])
     columns = ("Velocity", *map(capital, recorded_headings("tracking", "rmse", "mean", "largest")))
     return [Table("Velocities against their commands", columns, rows)] if rows else []
 
@@ -104,10 +83,6 @@ def _numbers(*values: float) -> list[Cell]:
 def _saturated(share: float | None) -> Cell:
     tone = "" if share is None or share < _HIGH else "warn" if share < _FULL else "bad"
     return Cell("–") if share is None else Cell(percent(share), bar=share, tone=tone)  # type: ignore[arg-type]
-
-
-def _with(value: float, name: str) -> str:
-    return f"{number(value)} {_UNITS.get(name, '')}".strip()
 
 
 _FORMATS: Mapping[str, Callable[[Any], str]] = {
@@ -162,13 +137,16 @@ def motion(recording: Recording) -> list[Block]:
     tracking = _panels("tracking", recording)
     first = [panel for panel in tracking if panel.title.startswith(_FIRST)]
     rest = [panel for panel in tracking if panel not in first]
-    tables = measured(recording)
+    try:
+        summary = summarize(recording)
+    except RunDirectoryError:  # Damaged data: show the curves without tables.
+        summary = None
     groups = [
-        ("Velocities and tilt", rest, tables.tracking),
-        ("Contact forces", _panels("contact_forces", recording), tables.forces),
-        ("Joints", _panels("joints", recording), tables.efforts),
+        ("Velocities and tilt", rest, _tracking(summary.tracking) if summary else []),
+        ("Contact forces", _panels("contact_forces", recording), _forces(summary.forces) if summary else []),
+        ("Joints", _panels("joints", recording), _efforts(summary.efforts) if summary else []),
     ]
-    found: list[Block] = list(tables.scope)
+    found: list[Block] = _scope(summary) if summary else []
     found += [drawn(first, "play")] if first else []
     for i, (title, panels, measures) in enumerate(groups):
         shown = [*measures, *([drawn(panels, f"play-{i}", paired=title == "Joints")] if panels else [])]
@@ -177,9 +155,6 @@ def motion(recording: Recording) -> list[Block]:
 
 
 def _panels(name: str, recording: Recording) -> list[Panel]:
-    from wheelleg_exp.inspection.plot_data import Source
-    from wheelleg_exp.inspection.recording_plots import PLOTS
-
     try:
         return PLOTS[name].panels(Source(recording))
     except RunDirectoryError:  # The recording lacks the data that the plot ``name`` needs.

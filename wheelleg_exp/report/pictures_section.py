@@ -8,21 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.inspection.plot_data import Sample, Series, Source
+from wheelleg_exp.inspection.recording_pictures import Scenery, pictures, row_at, scenery
+from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.report import performance_section as standing
 from wheelleg_exp.report.page_blocks import Block, Note, Picture, Strip
 from wheelleg_exp.report.performance_section import health
 from wheelleg_exp.report.report_subject import AGENT, Subject
 from wheelleg_exp.report.value_format import number, spoken
-
-if TYPE_CHECKING:
-    from wheelleg_exp.inspection.plot_data import Sample, Series, Source
-    from wheelleg_exp.inspection.recording_pictures import Scenery
-    from wheelleg_exp.recording.reading.recording_reader import Recording
 
 _HERO, _STRIP = (960, 720), (480, 360)
 _MOMENTS = 4
@@ -69,7 +67,7 @@ class Look:
         for recording in (self.play, self.training):
             if recording is None or isinstance(recording, WheellegError):
                 continue
-            found = _shown(_source(recording), _PLAY if recording is self.play else _LAST)
+            found = _shown(Source(recording), _PLAY if recording is self.play else _LAST)
             if found is not None:
                 episode = found[1]
                 where = "in the last play" if recording is self.play else "in the last recorded episode of the training"
@@ -97,7 +95,7 @@ class Look:
         if isinstance(recording, WheellegError):
             return [Note(f"The recording of the training cannot be shown: {recording}.")]
         found: list[Block] = [*health(recording), *self._strip(recording, _FIRST, "At first")]
-        samples = _source(recording).samples()
+        samples = Source(recording).samples()
         if not samples:
             found.append(Note("No motion of this training was recorded, so there are no pictures of it.", ""))
         if len(samples) > 1:
@@ -105,7 +103,7 @@ class Look:
         return [*found, *([Note(f"There are no pictures of the robot: {self._missing}.", "")] if self._missing else [])]
 
     def _strip(self, recording: Recording, which: int, label: str) -> list[Block]:
-        source = _source(recording)
+        source = Source(recording)
         found = _shown(source, which)
         if found is None:
             return []
@@ -124,8 +122,6 @@ class Look:
         if not self.pictures or self._missing is not None:
             return []
         try:
-            from wheelleg_exp.inspection.recording_pictures import scenery
-
             if recording.path not in self._sceneries:
                 self._sceneries[recording.path] = scenery(recording)
             uris = shots(self._sceneries[recording.path], times, size)
@@ -146,20 +142,12 @@ class Look:
 def _opened(path: Path | None) -> Recording | WheellegError | None:
     if path is None:
         return None
-    from wheelleg_exp.recording.reading.recording_reader import Recording
-
     try:
         return Recording(path)
     except WheellegError as error:
         return error
     except Exception as error:  # A damaged recording can raise any error.
         return WheellegError(f"{type(error).__name__}: {error}")
-
-
-def _source(recording: Recording) -> Source:
-    from wheelleg_exp.inspection.plot_data import Source
-
-    return Source(recording)
 
 
 def _shown(source: Source, which: int) -> tuple[Sample, Episode] | None:
@@ -219,10 +207,6 @@ def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list
 
     ``shown`` contains the shapes and the motion of a recorded robot. ``size`` is each picture's width and height, px.
     """
-    from PIL import Image
-
-    from wheelleg_exp.inspection.recording_pictures import pictures, row_at
-
     rows = [row_at(shown, time_s=time) for time in times]
     found = []
     for pixels in pictures(shown, rows, *size):

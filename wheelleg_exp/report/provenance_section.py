@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import read_json
@@ -19,9 +19,7 @@ from wheelleg_exp.report.value_format import brief, counted, moment, number, siz
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, odd_entries
 from wheelleg_exp.run.run_directory import REPLAYS, RunDirectory
 from wheelleg_exp.run.source_snapshot import source_entries
-
-if TYPE_CHECKING:
-    from wheelleg_exp.verify import Check, RunFindings
+from wheelleg_exp.verify import Check, RunFindings, compare_runs, verify_run
 
 _LISTED, _FINDINGS = 40, 200
 _THREADS = {
@@ -256,8 +254,6 @@ def judge(subject: Subject) -> Verdict:
     """Check a run's files against its file manifest.json, and compare the run with trainings of equal settings."""
     if subject.run is None:
         return Verdict(None, None, [], subject)
-    from wheelleg_exp.verify import verify_run
-
     odd = odd_entries(subject.path)
     if odd:  # Do not read the run's files, because a symbolic link can point to a private file elsewhere.
         damaged = Card("Reproducibility", "Damaged", note="it holds links or pipes", tone="bad")
@@ -387,8 +383,6 @@ def _data(path: Path) -> dict[str, Any]:
 
 
 def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:
-    from wheelleg_exp.verify import compare_runs
-
     label = f"{folder.parent.name}/{folder.name}"
     try:
         found = compare_runs(run, RunDirectory.open(folder, run.root), common=True)

@@ -73,7 +73,7 @@ def write_report(subject: Subject, path: Path, html: str, command: Sequence[str]
     """Write the report page to a file; if the file is in the run directory, add the file to the run's manifest."""
     write_text(path, html)
     inside = path.resolve().is_relative_to(subject.path.resolve())
-    if subject.run is not None and inside and not _recorded(subject, path):
+    if subject.run is not None and inside and not _is_own(subject, path):
         subject.run.manifest().add(KIND, [path], command=command)
 
 
@@ -87,12 +87,10 @@ def _is_report(path: Path, run: str) -> bool:
 
 def _is_own(subject: Subject, path: Path) -> bool:
     """Return whether the run's manifest lists the file ``path`` as a report; the run may have been renamed."""
-    inside = not path.is_symlink() and path.is_file() and path.resolve().is_relative_to(subject.path.resolve())
-    return inside and _recorded(subject, path)
-
-
-def _recorded(subject: Subject, path: Path) -> bool:
-    name = path.resolve().relative_to(subject.path.resolve()).as_posix()
+    folder = subject.path.resolve()
+    if path.is_symlink() or not path.is_file() or not path.resolve().is_relative_to(folder):
+        return False
+    name = path.resolve().relative_to(folder).as_posix()
     entries = [entry["files"][name] for entry in subject.additions(KIND) if name in entry.get("files", {})]
     return bool(entries) and entries[-1]["sha256"] == sha256(path)
 

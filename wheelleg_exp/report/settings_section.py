@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.composing.provenance import Mount
 from wheelleg_exp.config.explaining.config_diff import ABSENT, changes, same
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.report.page_blocks import Block, Cell, Code, More, Note, Table, Text
 from wheelleg_exp.report.report_subject import AGENT, Subject
 from wheelleg_exp.report.value_format import brief, counted
 from wheelleg_exp.terms.key_syntax import Keys, dotted
-
-if TYPE_CHECKING:
-    from wheelleg_exp.config.composing.compose import Composed
-    from wheelleg_exp.config.composing.provenance import Mount
 
 _PARTS = ("env", "agent")
 _NOT_SET, _THEN = "not set", "the configs at the time of the run"
@@ -94,8 +92,6 @@ def own_leaves(composed: Composed | None) -> Iterator[Setting]:
 
 
 def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
-    from wheelleg_exp.config.composing.compose import compose
-
     folders = list(subject.config_dirs)
     task = str(subject.choices.get("task") or subject.task)
     if subject.status == AGENT:

@@ -10,14 +10,17 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from wheelleg_exp import __version__
 from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.definitions import LAST, curve_title, scalar_definition
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.inspection.plot_style import Panel, colour
+from wheelleg_exp.inspection.training_curves import over_iterations
 from wheelleg_exp.report.headline import done, played
 from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Block, Cell, Code, Note, Page, Table
@@ -27,11 +30,6 @@ from wheelleg_exp.report.training_section import picked
 from wheelleg_exp.report.value_format import brief, counted, number, percent
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_list import find_sweep
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from wheelleg_exp.inspection.plot_style import Panel
 
 # Runs form one group if their configs differ only in the keys in ``_ASIDE``, such as the seed.
 _ASIDE = ("seed", "run", "recording", "check", "agent.logger", "agent.save_interval")
@@ -158,9 +156,6 @@ def curves(groups: Sequence[Group]) -> list[Block]:
 
 
 def _panel(key: str, groups: Sequence[Group]) -> Panel:
-    from wheelleg_exp.inspection.plot_style import Panel, colour
-    from wheelleg_exp.inspection.training_curves import over_iterations
-
     def draw(axes: Axes) -> None:
         for i, group in enumerate(groups):
             series = [run.scalars[key] for run in group.runs if key in run.scalars]

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from wheelleg_exp.definitions import curve_title
+from wheelleg_exp.inspection import training_curves
 from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Table
 from wheelleg_exp.report.report_subject import Subject
@@ -21,20 +22,16 @@ _FIRST = tuple(curve_title(key) for key in ("Train/mean_reward", "Train/mean_epi
 
 def first_curves(subject: Subject) -> list[Block]:
     """Return learning curves of return, episode length, and terminations; a note if no iteration has finished."""
-    from wheelleg_exp.inspection import training_curves as plots_training
-
     scalars = thinned(subject)
     if not scalars:
         return [Note("No iteration was finished, so there are no learning curves.", "")]
-    panels = [panel for panel in plots_training.learning(scalars) if panel.title in _FIRST]
-    return [drawn([*panels, *plots_training.endings(scalars)], "learning")]
+    panels = [panel for panel in training_curves.learning(scalars) if panel.title in _FIRST]
+    return [drawn([*panels, *training_curves.endings(scalars)], "learning")]
 
 
 def more_curves(subject: Subject) -> list[Block]:
     """Return the remaining curves, collapsed."""
-    from wheelleg_exp.inspection import training_curves as plots_training
-
-    panels = [panel for panel in plots_training.learning(thinned(subject)) if panel.title not in _FIRST]
+    panels = [panel for panel in training_curves.learning(thinned(subject)) if panel.title not in _FIRST]
     return [More("Tracking errors, losses, exploration and speed", [drawn(panels, "optimiser")])] if panels else []
 
 
@@ -84,9 +81,7 @@ def reward_blocks(subject: Subject) -> list[Block]:
     shown: list[Sequence[Cell]] = [row if total else row[:2] for row in rows]
     title = "Reward terms, mean over the last tenth of the training" if total else "Reward terms"
     table = Table(title, columns, shown)
-    from wheelleg_exp.inspection import training_curves as plots_training
-
-    panels = plots_training.reward_course(thinned(subject))[:1]
+    panels = training_curves.reward_course(thinned(subject))[:1]
     first: Block = Beside([drawn(panels, "rewards"), table]) if panels else table
     columns = ["Term", "Computed by", "Parameters"]
     listed = Table("Terms and their parameters", columns, parameters, titled=False)

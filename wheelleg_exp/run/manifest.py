@@ -354,7 +354,6 @@ class Manifest:
         results: Mapping[str, Any] | None = None,
         *,
         command: Sequence[str] | None = None,
-        now: datetime | None = None,
     ) -> dict[str, Any]:
         """Record the files and results that a command adds to a run that has ended; return the new manifest entry.
 
@@ -362,7 +361,7 @@ class Manifest:
         must be below the run directory.
         """
         words = list(sys.argv if command is None else command)
-        entry: dict[str, Any] = {"kind": kind, "when": utc_text(now or utc_now()), "command": words}
+        entry: dict[str, Any] = {"kind": kind, "when": utc_text(utc_now()), "command": words}
         entry |= {"files": record_files(self.directory, files), "results": dict(results or {})}
         self._update(lambda data: data["additions"].append(entry))
         return self.data["additions"][-1]

@@ -15,16 +15,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_yaml, require_mapping, write_text
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.run.manifest import mistyped_keys
 from wheelleg_exp.terms.key_syntax import is_override
-
-if TYPE_CHECKING:
-    from omegaconf.base import Container
 
 PARTS = ("env", "agent")
 # A trained policy depends on the ``POLICY_KEYS`` of ``agent``; other keys of ``agent`` affect only the training.
@@ -33,12 +30,13 @@ POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads"
 
 def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
     """Raise RunDirectoryError if a parameter contains ``${``, because runs store only resolved parameters."""
-    for key in _unresolved(params, ""):
+    for key, _ in _unresolved(params, ""):
         message = "the value contains '${', but parameters are not resolved again"
         raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
 
 
-def _unresolved(value: Any, key: str) -> Iterator[str]:
+def _unresolved(value: Any, key: str) -> Iterator[tuple[str, str]]:
+    """Yield the path and the text of each value and key that contains ``${``."""
     if isinstance(value, Mapping):
         for name, item in value.items():
             for text in (name, item):
@@ -47,7 +45,7 @@ def _unresolved(value: Any, key: str) -> Iterator[str]:
         for index, item in enumerate(value):
             yield from _unresolved(item, f"{key}[{index}]")
     elif isinstance(value, str) and "${" in value:
-        yield key
+        yield key, value
 
 
 def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
@@ -181,7 +179,7 @@ def resolved(
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
-    letters = sum(len(text) for text in _strings(tree) if "${" in text)
+    letters = sum(len(text) for _, text in _unresolved(tree, ""))
     try:
         if letters > _MAX_LETTERS:
             raise InterpolationResolutionError(f"config values with '${{' are too long: {letters} characters in total")
@@ -193,14 +191,6 @@ def resolved(
     except (OmegaConfBaseException, ValueError, TypeError, RecursionError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RunDirectoryError(f"the config cannot be resolved: {reason}", expected="the config of the run") from error
-
-
-def _strings(node: Any) -> Iterator[str]:
-    if isinstance(node, str):
-        yield node
-    elif isinstance(node, (dict, list)):
-        for item in node.values() if isinstance(node, dict) else node:
-            yield from _strings(item)
 
 
 @contextmanager

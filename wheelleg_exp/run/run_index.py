@@ -40,7 +40,6 @@ _PIPELINE_TYPES |= {"config": {"phases": dict}, "phases": [_PHASE_TYPES]}
 
 JobStatus = Literal["waiting", "running", "finished", "failed", "interrupted"]
 SweepStatus = Literal["finished", "failed", "interrupted"]
-PhaseStatus = Literal["waiting", "training", "passed", "failed"]
 PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
 
 
@@ -199,7 +198,6 @@ class PipelineIndex(_RunIndex):
         config_dirs: Sequence[Path],
         command: Sequence[str],
         digests: Mapping[str, str],
-        now: datetime | None = None,
     ) -> PipelineIndex:
         """Create the folder and the index file of a new pipeline below ``root``, the folder of all runs.
 
@@ -210,7 +208,7 @@ class PipelineIndex(_RunIndex):
         for name, digest in digests.items():
             entry = {"name": name, "status": "waiting", "why": None, "digest": digest, "run": None, "init_from": None}
             phases.append({**entry, "trained": 0, "gates": [], "started": None, "ended": None})
-        index = cls._create(root, command, now, phases)
+        index = cls._create(root, command, None, phases)
         index.data |= {
             "name": config["name"],
             "why": None,

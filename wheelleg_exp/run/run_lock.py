@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +67,7 @@ RUN_LOCK, MANIFEST_LOCK = ".lock", ".manifest.lock"
 
 
 class RunLock:
-    """Lock a run directory for writing, as a context manager.
+    """Lock a run directory for writing, as a context manager, which acquires the lock unless this object has it.
 
     The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock. ``name`` is the
     name of the lock file in the run directory. ``timeout_s`` is the longest time, s, to wait for the lock while a
@@ -102,18 +102,9 @@ class RunLock:
         os.close(self._descriptor)
         self._descriptor = None
 
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Acquire the lock unless this object already has the lock; release it at the end of the ``with`` block."""
+    def __enter__(self) -> RunLock:
         if self._descriptor is None:
             self.acquire()
-        try:
-            yield
-        finally:
-            self.release()
-
-    def __enter__(self) -> RunLock:
-        self.acquire()
         return self
 
     def __exit__(self, *error: object) -> None:

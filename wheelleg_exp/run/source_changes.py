@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nul
 
-_SHOWN_REASONS, _SHOWN_PATHS = 5, 3
+_SHOWN_REASONS = 5
 _ABSENT = "000000"
 
 State = str | None  # A file's state is its git mode and blob id as text, or None if the git tree lacks the file.
-
-
-@dataclass(frozen=True)
-class FileChanges:
-    """The sorted paths of files that were added, removed, or changed between two source trees."""
-
-    added: list[str] = field(default_factory=list)
-    removed: list[str] = field(default_factory=list)
-    changed: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        kinds = ((self.changed, "changed"), (self.added, "added"), (self.removed, "removed"))
-        return "; ".join(f"{word} {_first(paths, _SHOWN_PATHS)}" for paths, word in kinds if paths)
 
 
 def source_lines(content: Mapping[str, Any]) -> list[str]:
@@ -36,7 +22,8 @@ def source_lines(content: Mapping[str, Any]) -> list[str]:
         missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record["refused"]]
         missing += [f"{entry['path']!r} (it is a submodule)" for entry in record["submodules"]]
         if missing:
-            lines.append(f"warning: not captured of the source of {record['root']}: {_first(missing, _SHOWN_REASONS)}")
+            names = first_few(missing, _SHOWN_REASONS)
+            lines.append(f"warning: not captured of the source of {record['root']}: {names}")
     return lines
 
 
@@ -89,21 +76,21 @@ def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
     return found if valid else None
 
 
-def _compare(
-    was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[str, tuple[State, State]]
-) -> FileChanges | None:
+def _compare(was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[str, tuple[State, State]]) -> str:
+    """Return a text with the files that were changed, added, or removed; an empty text if no file differs."""
+
     def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
         if path in own:
             return own[path][1]
         # If ``between`` lacks a file, the file is equal in both git commits.
         return between[path][side] if path in between else other[path][0]
 
-    found = FileChanges()
+    found: dict[str, list[str]] = {"changed": [], "added": [], "removed": []}
     for path in sorted({*was, *now, *between}):
         old, new = state_in(path, 0, was, now), state_in(path, 1, now, was)
         if old != new:
-            (found.added if old is None else found.removed if new is None else found.changed).append(path)
-    return found if found != FileChanges() else None
+            found["added" if old is None else "removed" if new is None else "changed"].append(path)
+    return "; ".join(f"{kind} {first_few(paths)}" for kind, paths in found.items() if paths)
 
 
 def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
@@ -123,6 +110,7 @@ def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[St
     return None
 
 
-def _first(names: list[str], shown: int) -> str:
+def first_few(names: Sequence[str], shown: int = 3) -> str:
+    """Return a text with the first few of the given names and the number of the remaining names."""
     more = len(names) - shown
     return ", ".join(names[:shown]) + (f" and {more} more" if more > 0 else "")

@@ -14,10 +14,10 @@ import os
 import stat
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from wheelleg_exp.files import sha256, write_bytes, write_json
 from wheelleg_exp.run import git_commands as git
@@ -35,8 +35,7 @@ _INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _GITLINK, _NO_MODE = "160000", "000000"
 
 
-@dataclass(frozen=True)
-class NotCaptured:
+class NotCaptured(TypedDict):
     """A file whose content is not in the source snapshot, and the reason why not."""
 
     path: str
@@ -223,7 +222,7 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dic
 def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
     """Add the git tree id to ``record``; return the patch of uncommitted changes, or None if the patch is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
-    record["refused"] = [asdict(entry) for entry in refused]
+    record["refused"] = list(refused)
     sizes = _sizes(repository, untracked)
     if sum(sizes.values()) > cap:
         _refuse_patch(record, sizes, "the untracked files have", sum(sizes.values()), cap)
@@ -237,13 +236,13 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
             changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
         # In the temporary index, restore the committed version of files with a git filter; mode 0 removes a file.
-        names = {entry.path for entry in filtered}
+        names = {entry["path"] for entry in filtered}
         reset = [(change, change.old_mode) for change in changes if change.path in names]
         lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
         if lines:
             scratch.run("update-index", "-z", "--index-info", stdin=git.join_nul(lines))
-        left_out = {entry.path for entry in refused}
-        record["refused"] = [asdict(entry) for entry in refused]
+        left_out = {entry["path"] for entry in refused}
+        record["refused"] = list(refused)
         record["untracked"] = [path for path in untracked if path not in left_out]
         stored = [change for change in changes if change.path not in left_out]
         record["changed"] = [change.path for change in stored]
@@ -282,7 +281,7 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
             written = os.fstat(descriptor)
             output |= {(written.st_dev, written.st_ino)} if stat.S_ISREG(written.st_mode) else set()
     refused = _filtered(repository, paths)
-    filtered, captured = {entry.path for entry in refused}, []
+    filtered, captured = {entry["path"] for entry in refused}, []
     for path in paths:
         full = repository.top / path
         facts = _lstat(full)
@@ -290,9 +289,9 @@ def _untracked_files(repository: Repository, runs_root: Path | None) -> tuple[li
         if is_output or (runs is not None and Path(path).is_relative_to(runs)) or path in filtered:
             continue
         if path.endswith("/"):
-            refused.append(NotCaptured(path, "it is a repository of its own"))
+            refused.append(NotCaptured(path=path, reason="it is a repository of its own"))
         elif not full.is_symlink() and full.exists() and not os.access(full, os.R_OK):
-            refused.append(NotCaptured(path, "it cannot be read"))
+            refused.append(NotCaptured(path=path, reason="it cannot be read"))
         else:
             captured.append(path)
     return captured, refused
@@ -318,7 +317,11 @@ def _filtered(repository: Repository, paths: list[str]) -> list[NotCaptured]:
         return []
     parts = git.split_nul(repository.run("check-attr", "-z", "--stdin", "filter", stdin=git.join_nul(paths)))
     found = zip(parts[::3], parts[2::3], strict=True)
-    return [NotCaptured(path, f"git passes it through the filter '{name}'") for path, name in found if name in programs]
+    return [
+        NotCaptured(path=path, reason=f"git passes it through the filter '{name}'")
+        for path, name in found
+        if name in programs
+    ]
 
 
 def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCaptured]:
@@ -343,7 +346,7 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
             left = scratch.paths("diff-files", "--name-only", "--ignore-submodules=all", "-z")
             if not left:
                 raise
-            refused = [NotCaptured(path, f"git cannot read it: {error}") for path in left]
+            refused = [NotCaptured(path=path, reason=f"git cannot read it: {error}") for path in left]
     # With --remove, `git update-index` accepts files that were deleted after `git ls-files` had listed them.
     scratch.run("update-index", "--add", "--remove", "--replace", "-z", "--stdin", stdin=git.join_nul(untracked))
     return refused

@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 from wheelleg_exp.files import sha256
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, FileFindings
-from wheelleg_exp.run.iteration_log import IterationLog
+from wheelleg_exp.run.iteration_log import IterationLog, read_log
 from wheelleg_exp.run.manifest import FORMAT_WITH_VALUE_DIGEST, Manifest
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import CHECKPOINT, NEEDED, RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.run_list import effective_status
 from wheelleg_exp.run.source_snapshot import RECORD_NAME
 
 _UNENDED = ("running", "crashed")
@@ -42,6 +43,12 @@ class Subject:
     def has_snapshot(self) -> bool:
         """True if the run has completely written its config, source code, and robot files."""
         return bool(self.data.get("source")) or self.has_ended
+
+
+def read_subject(run: RunDirectory) -> Subject:
+    """Read the manifest, the status, and the iteration log of a run."""
+    manifest = run.manifest()
+    return Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
 
 
 State = Literal["ok", "note", "failed", "not checked"]

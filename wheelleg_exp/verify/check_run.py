@@ -18,10 +18,8 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_text, read_yaml, require_mapping, sha256
 from wheelleg_exp.plain_data import json_value, require_bounded
 from wheelleg_exp.run.file_inventory import odd_entries
-from wheelleg_exp.run.iteration_log import read_log
 from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, resolved
 from wheelleg_exp.run.run_directory import FAILURE, RunDirectory, checkpoint_iteration
-from wheelleg_exp.run.run_list import effective_status
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import drop_removed
@@ -251,8 +249,7 @@ _OF_THE_CONTENT = (params, source, asset, iterations, checkpoints, failure, reco
 
 def verify_run(run: RunDirectory) -> RunFindings:
     """Check whether a run's files agree with the run's manifest and each other, without executing stored code."""
-    manifest = run.manifest()
-    subject = Subject(run, manifest, effective_status(manifest), read_log(run.iterations))
+    subject = check_files.read_subject(run)
     checks = [_guarded(check, subject) for check in _OF_THE_FILES]
     odd = odd_entries(run.path)
     if odd:  # A symbolic link can lead outside the run directory, and reading from a pipe may never end.

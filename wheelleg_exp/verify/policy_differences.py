@@ -13,7 +13,6 @@ import pickletools
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,8 +21,9 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_json
 from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.run.run_directory import RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.source_changes import first_few
 from wheelleg_exp.verify.run_differences import plain_changes
-from wheelleg_exp.verify.run_parts import Part, some
+from wheelleg_exp.verify.run_parts import Part
 
 if TYPE_CHECKING:
     from wheelleg_exp.verify.tensor_differences import Difference
@@ -85,21 +85,12 @@ def compare_pair(iteration: int, a: Path, b: Path) -> Pair:
         if not found:
             return Pair(iteration, "content", of=of)
         found.sort(key=_order)
-        distance = tensor_differences.relative_distance(_networks(one), _networks(other))
+        networks = map(tensor_differences.network_tensors, (one, other))
+        distance = tensor_differences.relative_distance(*networks)
         parts = Counter(_part(difference.name) for difference in found)
         return Pair(iteration, "different", len(found), of, found[:_MOST_LEAVES], dict(parts), distance)
     except RunDirectoryError as error:
         return Pair(iteration, "unreadable", problem=str(error))
-
-
-def _networks(state: dict[str, Any]) -> dict[str, Any]:
-    from torch import Tensor
-
-    from wheelleg_exp.rl import checkpoint
-
-    networks = {role: state[f"{role}_state_dict"] for role in checkpoint.ROLES if f"{role}_state_dict" in state}
-    tensors = {f"{role}.{name}": value for role, network in networks.items() for name, value in network.items()}
-    return {name: value for name, value in tensors.items() if isinstance(value, Tensor)}
 
 
 def _part(name: str) -> str:
@@ -148,12 +139,11 @@ def _compare(a: Path | None, b: Path | None) -> str:
     try:
         if a.suffix == ".json":
             changes = plain_changes(read_json(a), read_json(b))
-            return f"differs in {some([change.key for change in changes])}" if changes else _EQUAL_CONTENT
-        sides: Sequence[Callable[[Path], Any]] = (_onnx_weights, _onnx_graph)
-        if a.suffix != ".onnx":
-            sides = (_archived_weights, _archived_code)
-        texts = ("weights differ", "code differs")
-        differing = [text for text, side in zip(texts, sides, strict=True) if side(a) != side(b)]
+            return f"differs in {first_few([change.key for change in changes])}" if changes else _EQUAL_CONTENT
+        is_onnx = a.suffix == ".onnx"
+        weights, code = (_onnx_weights, _onnx_graph) if is_onnx else (_archived_weights, _archived_code)
+        differing = ["weights differ"] if weights(a) != weights(b) else []
+        differing += ["code differs"] if code(a) != code(b) else []
         return " and ".join(differing) or _EQUAL_CONTENT
     except Exception as error:  # Reading a damaged file can raise any exception.
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"

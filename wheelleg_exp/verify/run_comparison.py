@@ -9,6 +9,7 @@ from typing import Any, Literal
 from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_changes import first_few
 from wheelleg_exp.verify import comparison_text as text
 from wheelleg_exp.verify import run_differences as differences
 from wheelleg_exp.verify import run_parts as part
@@ -134,7 +135,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
 
 
 def _damage_part(wrong: dict[str, list[str]]) -> Part:
-    text = "; ".join(f"{side}: {part.some(files, 1)}" for side, files in wrong.items() if files)
+    text = "; ".join(f"{side}: {first_few(files, 1)}" for side, files in wrong.items() if files)
     return (
         Part("different", text, {"damaged": wrong}) if text else Part("equal", "all as their manifests recorded them")
     )

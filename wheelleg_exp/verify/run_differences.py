@@ -21,7 +21,7 @@ from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import ROBOT, load_params, written_config
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.source_changes import describe_changes
+from wheelleg_exp.run.source_changes import describe_changes, first_few
 from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
 from wheelleg_exp.terms.key_syntax import Keys
 
@@ -60,10 +60,9 @@ def as_dict(change: Change) -> dict[str, Any]:
     return {"key": change.key, "a": a, "b": b, "decides": decides(change.keys)}
 
 
-def changes_text(changes: Sequence[Change], shown: int = 3) -> str:
+def changes_text(changes: Sequence[Change]) -> str:
     """Return a text that lists the settings that differ between two runs, with the values of the first few settings."""
-    texts = [f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes[:shown]]
-    return ", ".join(texts) + (f" and {len(changes) - shown} more" if len(changes) > shown else "")
+    return first_few([f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes])
 
 
 def brief(value: Any) -> str:

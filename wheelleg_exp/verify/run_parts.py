@@ -8,11 +8,11 @@ from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.iteration_log import IterationLog, Line, read_log
+from wheelleg_exp.run.iteration_log import Line
 from wheelleg_exp.run.manifest import SNAPSHOT
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory
-from wheelleg_exp.run.run_list import effective_status
-from wheelleg_exp.verify.check_files import Subject, damage
+from wheelleg_exp.run.source_changes import first_few
+from wheelleg_exp.verify.check_files import Subject, damage, read_subject
 from wheelleg_exp.verify.run_differences import as_dict, plain_changes
 
 _CLOSED = ("finished", "interrupted")
@@ -20,12 +20,9 @@ _OF_ITERATIONS = (MANIFEST_NAME, "iterations.jsonl")
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One of two compared runs: its status, its log, and the problem of each damaged file by name."""
+class Measured(Subject):
+    """One of two compared runs, with the problem of each damaged file by name."""
 
-    run: RunDirectory
-    status: str
-    log: IterationLog
     damage: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -58,12 +55,11 @@ class Span:
 
 def measure(run: RunDirectory) -> Measured:
     """Read a run's status and iteration log, and find the run's damaged files."""
-    manifest, log = run.manifest(), read_log(run.iterations)
-    subject = Subject(run, manifest, effective_status(manifest), log)
+    subject = read_subject(run)
     found = damage(subject)
-    if run.iterations.exists() and log.problems:
-        found.setdefault(run.iterations.name, f"is damaged: {'; '.join(log.problems)}")
-    return Measured(run, subject.status, log, found)
+    if run.iterations.exists() and subject.log.problems:
+        found.setdefault(run.iterations.name, f"is damaged: {'; '.join(subject.log.problems)}")
+    return Measured(run, subject.manifest, subject.status, subject.log, found)
 
 
 def span_of(a: Measured, b: Measured, iterations: int | None, common: bool) -> Span:
@@ -188,14 +184,8 @@ def recording_part(a: Measured, b: Measured) -> Part:
     only_a, only_b = ([entity for entity in x if entity not in y] for x, y in ((one, other), (other, one)))
     details = {"entities": len(one), "differing": changed, "only_a": only_a, "only_b": only_b}
     counted = [(changed, f"of {len(one)} entities differ"), (only_a, "only in A"), (only_b, "only in B")]
-    text = "; ".join(f"{len(names)} {what} ({some(names)})" for names, what in counted if names)
+    text = "; ".join(f"{len(names)} {what} ({first_few(names)})" for names, what in counted if names)
     return Part("different", text, details) if text else Part("equal", f"{len(one)} entities", details)
-
-
-def some(names: Sequence[str], shown: int = 3) -> str:
-    """Return a text with the first few of the given names and the number of the remaining names."""
-    hidden = len(names) - shown
-    return ", ".join(names[:shown]) + (f" and {hidden} more" if hidden > 0 else "")
 
 
 def results_part(a: RunDirectory, b: RunDirectory) -> Part:
@@ -210,4 +200,4 @@ def results_part(a: RunDirectory, b: RunDirectory) -> Part:
         return Part("equal", f"{len(ones)} figures", details)
     sides = [[f"{x:.6g}" if isinstance(x, float) else str(x) for x in (change.a, change.b)] for change in changes]
     texts = [f"{change.key} {a} and {b}" for change, (a, b) in zip(changes, sides, strict=True)]
-    return Part("different", some(texts), details)
+    return Part("different", first_few(texts), details)

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.digests import tensor_bytes
 
 _ABSENT = "(absent)"
@@ -60,6 +61,13 @@ def count_leaves(tree: Any) -> int:
     if isinstance(tree, Mapping):
         return sum(map(count_leaves, tree.values()))
     return sum(map(count_leaves, tree)) if isinstance(tree, (list, tuple)) else 1
+
+
+def network_tensors(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+    """Return the tensors of all networks in a checkpoint by name, such as ``actor.mlp.0.weight``."""
+    networks = {role: state.get(f"{role}_state_dict", {}) for role in checkpoint.ROLES}
+    tensors = {f"{role}.{name}": value for role, network in networks.items() for name, value in network.items()}
+    return {name: value for name, value in tensors.items() if isinstance(value, torch.Tensor)}
 
 
 def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:

@@ -75,7 +75,7 @@ def print_recording(path: Path | None) -> None:
 def _motion(motion: MotionFigures, figures: StandFigures) -> Iterator[tuple[str, str, str]]:
     """Yield table rows with metrics of the robot's motion; a metric with several actuator groups gets several rows."""
     ways, settled = _counted(figures.settled_episodes, "episode"), _settled(figures)
-    found = motion.as_dict()
+    found = vars(motion)
     for key, form in _MOTION.items():
         name, value = rollout_label(key, figures.settle_s), found[key]
         of = ways if MOTION[key].label.startswith(("strayed", "turned")) else settled

@@ -5,15 +5,14 @@ The drive page's web server listens only on the loopback address, and refuses co
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import errno
 import io
 import json
 import socket
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, redirect_stdout
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -232,7 +231,7 @@ class DrivePage:
         keys = self._port + 1 if self._port else 0
         require_free(self._port, "the page")
         require_free(keys, "the page's keys and gamepads")
-        with _without_output():
+        with redirect_stdout(io.StringIO()):  # Suppress the output of viser.
             self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg", verbose=False)
         self._stack.callback(self._stop)
         if self._port not in (0, self._server.get_port()):
@@ -317,7 +316,7 @@ class DrivePage:
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
     def _stop(self) -> None:
-        with _without_output():
+        with redirect_stdout(io.StringIO()):
             self._server.stop()
 
     def _push_to(self, way: str) -> Push:
@@ -353,10 +352,3 @@ class DrivePage:
         def _(_: Any) -> None:
             if scene.value in self._scenes:
                 controls.request(Choose(scene=scene.value))
-
-
-@contextmanager
-def _without_output() -> Iterator[None]:
-    """Suppress the console output of the package viser, so that only the output of the wheelleg command appears."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        yield

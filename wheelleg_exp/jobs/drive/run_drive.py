@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
@@ -21,8 +21,9 @@ from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
+from wheelleg_exp.jobs.drive.drive_page import DrivePage
 from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
-from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
+from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import Tree, prepare_policy
 from wheelleg_exp.jobs.rollout_files import close_dataset, dated_folder
@@ -103,16 +104,6 @@ class RealTimePacer:
         return True
 
 
-class DriveView(Protocol):
-    """A view that shows the driven robot to the user, and receives the user's requests."""
-
-    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show the simulated robot to the user, and return the view's URL; a push adds the speed ``push``, m/s."""
-
-    def show(self, status: Status) -> None:
-        """Show the state of the driven robot."""
-
-
 @dataclass(frozen=True)
 class Drive:
     """The files and metrics of a robot that a user drove; ``definitions.drive`` explains the metrics in ``figures``."""
@@ -135,7 +126,7 @@ class DriveRequest:
     command: Sequence[str] = ()
 
 
-def drive(request: DriveRequest, display: Display, view: DriveView | None = None) -> list[Drive]:
+def drive(request: DriveRequest, display: Display, view: DrivePage | None = None) -> list[Drive]:
     """Simulate the driven robot until the user finishes; restart if the user chooses another checkpoint or ground.
 
     Without ``view``, the YAML file ``request.script`` must list timed commands, which are simulated as fast as
@@ -153,7 +144,7 @@ def drive(request: DriveRequest, display: Display, view: DriveView | None = None
 
 
 def _drive_one(
-    request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DriveView | None, stop: StopRequest
+    request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DrivePage | None, stop: StopRequest
 ) -> tuple[Drive, Choose | None]:
     """Simulate a driven robot; if the user chose a new checkpoint or ground, also return this choice."""
     scene = pick.scene or OWN_GROUND
@@ -201,7 +192,7 @@ class _Driver:
         script: Script | None,
         options: dict[str, Any],
         display: Display,
-        view: DriveView | None,
+        view: DrivePage | None,
         stop: StopRequest,
     ) -> None:
         self._session, self._display, self._view, self._stop = session, display, view, stop

@@ -139,9 +139,7 @@ def _binary(term: Any) -> Spec:
 
 
 _KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
-    actions.JointPositionAction: _affine,
-    actions.JointVelocityAction: _affine,
-    actions.JointEffortAction: _affine,
+    **dict.fromkeys((actions.JointPositionAction, actions.JointVelocityAction, actions.JointEffortAction), _affine),
     actions.RelativeJointPositionAction: lambda term: _affine(term, "relative"),
     actions.JointPositionToLimitsAction: _to_limits,
     actions.EMAJointPositionToLimitsAction: lambda term: {**_to_limits(term), "alpha": term._alpha.tolist()},
@@ -206,11 +204,7 @@ def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
     """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
     # In float32, torch and NumPy would give different actions, because they round sums differently.
     precise = copy.deepcopy(policy).double()
-
-    def act(observations: TensorDict) -> torch.Tensor:
-        return precise(observations.double()).float()
-
-    return act
+    return lambda observations: precise(observations.double()).float()
 
 
 def _array(values: torch.Tensor) -> np.ndarray:
@@ -233,6 +227,7 @@ def specification(
     groups = observation_specs(env, agent["obs_groups"]["student" if "student" in agent else "actor"])
     actions, drives = action_specs(env), drive_specs(env)
     names = readings_of(groups)
+    commands = [name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)]
     limits = [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()]
     by_joint = per_joint(env, drives)
     found = {
@@ -251,12 +246,8 @@ def specification(
             name: {"width": known.of(env).shape[1], "unit": known.unit, "meaning": known.meaning}
             for name, known in ((name, reading(name)) for name in names)
         },
-        "commands": {
-            name.removeprefix(COMMANDS): dict(ranges.get(name.removeprefix(COMMANDS), {}))
-            for name in names
-            if name.startswith(COMMANDS)
-        },
-        "command_accelerations": _accelerations(env, names),
+        "commands": {name: dict(ranges.get(name, {})) for name in commands},
+        "command_accelerations": _accelerations(env, commands),
         "observation_width": sum(
             int(term["width"]) * max(1, int(term["history_length"])) for group in groups for term in group["terms"]
         ),
@@ -354,10 +345,10 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
     return [i for i in free if driven.get(i, "absolute" if stiffness[i] else "relative") == "relative"]
 
 
-def _accelerations(env: ManagerBasedRLEnv, names: list[str]) -> dict[str, Any]:
+def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Any]:
     """Return the acceleration limits of the commands, m/s² and rad/s², without commands that have no limits."""
     found = {}
-    for name in (name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)):
+    for name in commands:
         most = getattr(env.command_manager.get_term(name), "max_acceleration", None)
         if most is not None and any(limit is not None for limit in most):
             found[name] = list(most)

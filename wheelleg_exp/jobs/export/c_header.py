@@ -197,17 +197,17 @@ def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
             f"    float {identifier(name)}[{known['width']}]; /* {known['unit']}: {in_comment(known['meaning'])} */"
             for name, known in spec["readings"].items()
         ),
-        memory="\n".join(f"    {line}" for line in memory),
+        memory=_indented(memory),
         constants="\n".join(_constants(spec, arrays)),
         widest=max([spec["observation_width"], *spec["network"]["widths"]]),
-        observe=_indented([*observe, *_layout(spec)], 4),
+        observe=_indented([*observe, *_layout(spec)]),
         normalize=_NORMALIZE if spec["network"]["normalized"] else _COPY,
-        zero=_indented(_zero(spec), 4),
-        limits=_indented(_limits(spec), 4),
-        layers=_indented(_layers(spec), 4),
+        zero=_indented(_zero(spec)),
+        limits=_indented(_limits(spec)),
+        layers=_indented(_layers(spec)),
         clip="" if spec["clip_actions"] is None else _CLIP.format(bound=number(spec["clip_actions"])),
-        processed=_indented(processed, 4),
-        apply=_indented(_applied(spec), 4),
+        processed=_indented(processed),
+        apply=_indented(_applied(spec)),
         update=update_code(spec),
     )
 
@@ -216,8 +216,8 @@ def _listed(words: Iterable[str]) -> str:
     return ", ".join(map(in_comment, words))
 
 
-def _indented(lines: Iterable[str], spaces: int) -> str:
-    return "\n".join(f"{' ' * spaces}{line}" for line in lines)
+def _indented(lines: Iterable[str]) -> str:
+    return "\n".join(f"    {line}" for line in lines)
 
 
 def _array(kind: str, name: str, values: Iterable[str]) -> str:

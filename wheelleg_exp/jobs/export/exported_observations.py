@@ -128,8 +128,14 @@ def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
     if term.params.get("measured") is False and name == "joint_pos":
         message = "the term shows joint positions that encoders do not measure"
         raise ConfigError(message, key=term.path, expected="measured: true")
-    ids = torch.arange(len(env.scene.robot.joint_names))[term.params.get("asset_cfg", _ROBOT).joint_ids].tolist()
-    return {"reading": name, "columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
+    return {"reading": name, **_joints(env, term.params.get("asset_cfg", _ROBOT).joint_ids)}
+
+
+def _joints(env: ManagerBasedRLEnv, chosen: Any) -> Spec:
+    """Return the columns and the names of the joints that a slice or a tensor of indices selects."""
+    names = env.scene.robot.joint_names
+    ids = torch.arange(len(names))[chosen].tolist()
+    return {"columns": ids, "joint_names": [names[i] for i in ids]}
 
 
 def _reading(name: str, function: str = "reading") -> Spec:
@@ -161,9 +167,8 @@ def _minus_default(name: str, default: str) -> Callable[[ManagerBasedRLEnv, Term
 
 
 def _within_limits(env: ManagerBasedRLEnv, term: Term) -> Spec:
-    ids = torch.arange(len(env.scene.robot.joint_names))[term.func._ids].tolist()  # type: ignore[attr-defined]
-    low, high = env.scene.robot.layout.soft_joint_pos_limits[ids].unbind(dim=1)
-    joints = {"columns": ids, "joint_names": [env.scene.robot.joint_names[i] for i in ids]}
+    joints = _joints(env, term.func._ids)  # type: ignore[attr-defined]
+    low, high = env.scene.robot.layout.soft_joint_pos_limits[joints["columns"]].unbind(dim=1)
     span = {"middle": ((low + high) / 2).tolist(), "range": (high - low).tolist()}
     return {"function": "within_limits", "reading": "joint_pos", **joints, **span}
 
@@ -174,13 +179,11 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
     if type(command) is not UniformVelocityTravelCommand:
         message = f"a runner does not know how a '{type(command).__name__}' sums up its error"
         raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
-    ids = torch.arange(len(env.scene.robot.joint_names))[command._wheel_ids].tolist()
     most = command._most[0].tolist()
     return {
         "function": "travel_error",
         "needs": ["joint_vel", "base_ang_vel", f"{COMMANDS}{name}"],
-        "columns": ids,
-        "joint_names": [env.scene.robot.joint_names[i] for i in ids],
+        **_joints(env, command._wheel_ids),
         "command": f"{COMMANDS}{name}",
         "signs": list(command.wheel_signs),
         "wheel_radius": command._radius,

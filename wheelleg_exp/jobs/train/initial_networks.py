@@ -158,7 +158,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         source = _find(str(config[KEY]), config["run"]["root"])
         state = checkpoint.load(source.path)
         # Copy the networks that ``init_from_what`` selects into a new checkpoint, and add the networks' origin.
-        what = _parts_name(config)
+        what = str(config.get(WHAT) or "networks")
         parts = PARTS[what]
         if "actor" not in config["agent"]:
             raise ConfigError("a distillation must train a new student", key=KEY, expected="null, or another agent")
@@ -172,7 +172,7 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
-    _require_fit(source, config, list(PARTS[_parts_name(config)])[:2], note)
+    _require_fit(source, config, parts[:2], note)
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
         path.write_bytes(checkpoint.serialize(part))
@@ -199,10 +199,6 @@ def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
     return Initial(state, tuple(parts), {**facts, **named})
 
 
-def _parts_name(config: Tree) -> str:
-    return str(config.get(WHAT) or "networks")
-
-
 def _find(named: str, root: str) -> _Source:
     path = Path(named)
     run: RunDirectory | None
@@ -221,7 +217,7 @@ def _find(named: str, root: str) -> _Source:
     return _Source(path, run)
 
 
-def _require_fit(source: _Source, config: Tree, roles: list[str], note: Callable[[str], None]) -> None:
+def _require_fit(source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]) -> None:
     if source.run is None:
         return
     env, agent = load_params(source.run)

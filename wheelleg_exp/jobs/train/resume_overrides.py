@@ -33,28 +33,23 @@ from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
 from wheelleg_exp.verify.run_differences import decides
 
+_SHAPE = "the checkpoint holds networks of this shape"
 # ``_FIXED`` maps each setting that a resume cannot change to the reason.
 _FIXED: dict[Keys, str] = {
     ("seed",): "the random streams continue from their saved state",
     ("task",): "the run belongs to its task",
-    ("init_from",): "the run started with these networks",
-    ("init_from_what",): "the run started with these networks",
+    **dict.fromkeys((("init_from",), ("init_from_what",)), "the run started with these networks"),
     ("run",): "the run directory exists already",
     ("env", "num_envs"): "the saved state has a row for each environment",
     ("env", "decimation"): "all saved times count in its steps",
-    ("env", "sim"): "it is part of the simulated model",
-    ("env", "scene"): "it is part of the simulated model",
+    **dict.fromkeys((("env", "sim"), ("env", "scene")), "it is part of the simulated model"),
     ("env", "robot"): "the saved state is that of the run's robot",
     ("env", "actions"): "the networks were trained with these actions",
-    ("agent", "actor"): "the checkpoint holds networks of this shape",
-    ("agent", "critic"): "the checkpoint holds networks of this shape",
-    ("agent", "student"): "the checkpoint holds networks of this shape",
-    ("agent", "teacher"): "the checkpoint holds networks of this shape",
+    **{("agent", key): _SHAPE for key in ("actor", "critic", "student", "teacher", "obs_groups")},
     ("agent", "teacher_checkpoint"): "the run learns from one teacher",
-    ("agent", "obs_groups"): "the checkpoint holds networks of this shape",
     ("agent", "algorithm", "class_name"): "the checkpoint holds this algorithm's state",
     ("agent", "algorithm", "optimizer"): "the checkpoint holds this optimiser's state",
-    ("agent", "algorithm", "rnd_cfg"): "the checkpoint holds networks of this shape",
+    ("agent", "algorithm", "rnd_cfg"): _SHAPE,
 }
 _CHANGEABLE = (("env", "sim", "graph_step"),)  # A resume can switch CUDA graphs (``env.sim.graph_step``) on or off.
 _NEW_KEYS = ("init_from", "init_from_what")  # Configs of old runs lack ``init_from`` and ``init_from_what``.

@@ -68,10 +68,9 @@ def find_point(run: RunDirectory) -> ResumePoint:
         checkpoint.require_resumable(state)
         point = ResumePoint(checkpoint_iteration(path) + 1, path, state, lines, damaged)
         if len(point.lines) < point.iteration:
-            assert point.checkpoint is not None
             raise RunDirectoryError(
                 f"{run.iterations.name} has no complete line of iteration {len(point.lines)}, but the checkpoint "
-                f"{point.checkpoint.name} exists",
+                f"{path.name} exists",
                 key=str(run.iterations),
                 expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
                 f"model_{len(point.lines)}.pt on, to resume from an earlier one",

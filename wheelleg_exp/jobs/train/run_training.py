@@ -59,7 +59,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     total, started = int(agent["max_iterations"]), time.perf_counter()
     stuck = StuckCurricula()
     ending = ending_as(SimulationFailure)
-    with training.lock.held(), training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
+    with training.lock, training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
         results |= _earlier_results(training.earlier)
         if outputs.recording is not None and outputs.recording.note:
             display.note(f"warning: {outputs.recording.note}")
@@ -88,7 +88,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 def record_untrained(training: Training, display: Display) -> None:
     """Write the files of a run whose networks come from elsewhere: its iteration 0 only records them."""
     trainer, agent = training.trainer, training.recipe.config["agent"]
-    with training.lock.held(), training.manifest.finishing() as results, _outputs(training, display) as outputs:
+    with training.lock, training.manifest.finishing() as results, _outputs(training, display) as outputs:
         trainer.iteration = 1
         outputs.write(Iteration(0, {}, 0), due=True)
         results |= {"checkpoint": outputs.checkpoint(0), "iterations": 1, "seconds": 0.0}

@@ -21,12 +21,11 @@ from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run import environment
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import describe_changes
-from wheelleg_exp.run.source_restore import load_source
-from wheelleg_exp.run.source_snapshot import snapshot_source
+from wheelleg_exp.run.source_restore import source_records
+from wheelleg_exp.run.source_snapshot import is_installed, snapshot_source, source_entries
 from wheelleg_exp.verify.run_differences import FactDifference, environment_differences
 
 _PACKAGE = "wheelleg_exp"
-_INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _CALLS = ("_target_", "class_name")
 
 
@@ -49,8 +48,7 @@ def loaded_outside(roots: Sequence[Path]) -> list[Path]:
     found = []
     for name in sorted({name.partition(".")[0] for name in list(sys.modules)}):
         for place in _places(sys.modules.get(name)):
-            installed = any(part in _INSTALL_FOLDERS for part in place.parts)
-            if not installed and not any(place.is_relative_to(folder) for folder in known):
+            if not is_installed(place) and not any(place.is_relative_to(folder) for folder in known):
                 found.append(place)
     return _unique(found)
 
@@ -138,9 +136,9 @@ def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: 
 
 
 def _source_differences(run: RunDirectory, config_dirs: Sequence[Path]) -> list[FactDifference]:
-    recorded = _records(load_source(run))
+    recorded = source_records(run)
     with tempfile.TemporaryDirectory() as folder:
-        present = _records(snapshot_source(_run_roots(run, config_dirs), Path(folder), runs_root=run.root))
+        present = source_entries(snapshot_source(_run_roots(run, config_dirs), Path(folder), runs_root=run.root))
     found = []
     for number in range(max(len(recorded), len(present))):
         was, now = (side[number] if number < len(side) else {} for side in (recorded, present))
@@ -150,10 +148,6 @@ def _source_differences(run: RunDirectory, config_dirs: Sequence[Path]) -> list[
             name = f"{key if key == key_now else 'source'} ({number + 1})"
             found.append(FactDifference("source", name, before or key, after or key_now, note=note))
     return found
-
-
-def _records(content: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    return [content, *content["others"]]
 
 
 def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -168,7 +162,7 @@ def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
     # Recorded source folders are used only if the user trusts them, or if they are installed or imported here.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
-    records = [record for record in _records(load_source(run)) if record["root"] is not None]
+    records = [record for record in source_records(run) if record["root"] is not None]
     recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]
     known = [configs_dir().parent, *projects]
     installed = [root for name in installed_packages() if (root := _package_root(name)) is not None]

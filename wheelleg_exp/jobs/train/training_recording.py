@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -72,28 +73,24 @@ class Films:
             return
         from av.error import FFmpegError  # Import the video encoder only when needed, because its import is slow.
 
-        pictures = _pictures(self._env)
+        path, fps = self._folder / f"iteration_{start}.mp4", 1 / (self._env.step_dt * self._stride)
         try:
-            path, fps = self._folder / f"iteration_{start}.mp4", 1 / (self._env.step_dt * self._stride)
-            video_file.write(path, map(pictures.draw, shown), fps, _FILM_SIZE_PX)
+            with closing(_pictures(self._env)) as pictures:
+                video_file.write(path, map(pictures.draw, shown), fps, _FILM_SIZE_PX)
         except (WheellegError, FFmpegError) as error:
             self.ended = f"no film from iteration {start} on: {error}"
-        finally:
-            pictures.close()
 
 
 def require_graphics(env: ManagerBasedRLEnv, options: RecordingOptions) -> None:
     """If videos are requested, render one picture, so that a machine without graphics fails before the training."""
     if not options.video_every:
         return
-    pictures = _pictures(env)
     try:
-        pictures.draw(env.scene.model.qpos0)
+        with closing(_pictures(env)) as pictures:
+            pictures.draw(env.scene.model.qpos0)
     except NoGraphics as error:
         error.key, error.expected = "recording.video_every", f"0 for no films, or {error.expected}"
         raise
-    finally:
-        pictures.close()
 
 
 def films_from(folder: Path, iteration: int) -> list[Path]:

@@ -110,10 +110,8 @@ def _nested_types(kind: pa.DataType) -> Iterator[pa.DataType]:
 def _times_as_integers(kind: pa.DataType) -> pa.DataType:
     if pa.types.is_fixed_size_list(kind):
         return pa.list_(_times_as_integers(kind.value_type), kind.list_size)
-    if pa.types.is_list(kind):
+    if is_list(kind):
         return pa.list_(_times_as_integers(kind.value_type))
-    if pa.types.is_large_list(kind):
-        return pa.large_list(_times_as_integers(kind.value_type))
     if pa.types.is_struct(kind):
         return pa.struct([pa.field(field.name, _times_as_integers(field.type)) for field in kind])
     if pa.types.is_temporal(kind) and not pa.types.is_interval(kind):

@@ -12,11 +12,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.recording.layout import BRANCH, DOCUMENTS, GROUND, ITERATION, LOG, OVERLAY, SIM_TIME, STEP, WORLD
+from wheelleg_exp.recording import layout
+from wheelleg_exp.recording.layout import BRANCH, ITERATION, SIM_TIME, STEP, unescaped
 from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 
-_NOT_NUMBERS = (WORLD, OVERLAY, GROUND, DOCUMENTS, LOG)
+_NOT_NUMBERS = (layout.WORLD, layout.OVERLAY, layout.GROUND, layout.DOCUMENTS, layout.LOG)
 # A damaged recording can contain huge tables, so limit the number of columns and the length of column names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
@@ -114,11 +115,6 @@ def is_numeric(rows: EntityRows, entity: str) -> bool:
 def parts_of(path: str) -> list[str]:
     """Return the names in a Rerun entity path, without removing their escape characters."""
     return _PART.findall(path)
-
-
-def unescaped(part: str) -> str:
-    """Remove the escape characters from a name in a Rerun entity path."""
-    return re.sub(r"\\(.)", r"\1", part)
 
 
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:

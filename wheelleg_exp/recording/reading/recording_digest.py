@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,27 +16,16 @@ from wheelleg_exp.recording.layout import DOCUMENTS, HIDDEN, STEP, TRAINING
 from wheelleg_exp.recording.reading.arrow_values import is_list, python_values
 from wheelleg_exp.recording.reading.recording_contents import Contents, columns, latest
 
-if TYPE_CHECKING:
-    from hashlib import _Hash
-
 # A recording's digest omits recorded texts and wall-clock times, because these differ between equal runs.
 LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 
 
-def recording_digest(path: Path, *, without: Iterable[str] = LEFT_OUT) -> str:
-    """Return a sha256 over the content of a recording, which changes if one bit of a number changes.
-
-    The sha256 ignores what differs between equal runs: row ids, chunk boundaries, and the recording's name, id,
-    properties, and layout. The sha256 also ignores the Rerun entities in ``without`` and all entities below them.
-    """
-    digest = hashlib.sha256()
-    for entity, part in entity_digests(path, without=without).items():
-        digest.update(f"{entity}\0{part}\0".encode())
-    return digest.hexdigest()
-
-
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
-    """Return a sha256 over the rows of each Rerun entity, by the entity's path."""
+    """Return a sha256 over the rows of each Rerun entity, by the entity's path.
+
+    A sha256 changes if one bit of a number changes. It ignores what differs between equal runs, such as row ids and
+    chunk boundaries. The Rerun entities in ``without`` and all entities below them are omitted.
+    """
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}
     heads = (HIDDEN, *(f"{path}/" for path in left_out))
@@ -61,7 +50,7 @@ def _digest(contents: Contents, entity: str) -> str:
     return digest.hexdigest()
 
 
-def _update(digest: _Hash, array: pa.Array) -> None:
+def _update(digest: Any, array: pa.Array) -> None:
     """Add the content of an array to a digest: the valid values, the lengths of lists, and the bytes of the values."""
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks)

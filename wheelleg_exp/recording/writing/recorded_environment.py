@@ -228,7 +228,7 @@ class RecordedEnvironment:
         if self._velocity is not None:
             yield from self._velocity.columns(self.paths, blocks)
         if self._ground is not None and self._place == 0:
-            yield from self._ground.columns(self.paths, blocks)
+            yield from self._ground.columns(blocks)
 
     def _draw(self, env: ManagerBasedRLEnv) -> None:
         weight = rerun_shapes.weight(self._model, self._root)

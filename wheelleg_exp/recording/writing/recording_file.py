@@ -12,7 +12,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
-from wheelleg_exp.files import for_people, temporary_name
+from wheelleg_exp.files import for_people, sync, temporary_name
 from wheelleg_exp.recording.layout import PROPERTIES, join
 from wheelleg_exp.recording.rerun_program import optimize_recording
 from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, encoded_header
@@ -81,11 +81,7 @@ class RecordingFile:
             with for_people(self.path):
                 os.fsync(self._descriptor)
                 self._written.replace(self.path)
-                descriptor = os.open(self.path.parent, os.O_RDONLY)
-                try:
-                    os.fsync(descriptor)
-                finally:
-                    os.close(descriptor)
+            sync(self.path.parent)
             self._written = self.path
 
     def abandon(self) -> None:

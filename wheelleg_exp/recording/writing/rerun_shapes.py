@@ -217,9 +217,8 @@ class Ground:
         drawn: dict[str, Any] = {"vertex_normals": normals, "vertex_colors": np.repeat(shades, 4, axis=0)}
         return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, **drawn)
 
-    def columns(self, paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
+    def columns(self, blocks: Blocks) -> Iterator[Columns]:
         """Yield the ground patch's position: a multiple of two tiles near the base, so that colours do not flip."""
-        del paths
         step = 2 * self.tile
         snapped = step * np.round(np.nan_to_num(blocks["xpos"][:, self.root, :2]) / step)
         translation = np.column_stack((snapped, np.full(len(snapped), self.origin[2])))
