@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 from pxr import Usd
@@ -148,8 +148,7 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
         position=ref if state is None else clamped(stage, prim, "the saved state", state + ref, limits),
         velocity=speed,
         ref=ref,
-        extra={},
-        **asdict(read_passive(stage, prim, axis)),
+        **read_passive(stage, prim, axis),
     )
 
 

@@ -121,29 +121,24 @@ def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
         return _cone(stage, prim)
     if axis.token == "twist":
         return None
+    angular = axis.kind == "hinge"
     if axis.suffix:
-        return _generic(stage, prim, axis)
-    return _single(stage, prim, axis.kind == "hinge")
-
-
-def _generic(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
-    low = stage.ledger.read(prim, f"limit:{axis.token}:physics:low", "range")
-    high = stage.ledger.read(prim, f"limit:{axis.token}:physics:high", "range")
-    return _range(stage.units, low, high, axis.kind == "hinge", one_sided=True)
+        low, high = (stage.ledger.read(prim, f"limit:{axis.token}:physics:{end}", "range") for end in ("low", "high"))
+        return _range(stage.units, low, high, angular, one_sided=True)
+    return _single(stage, prim, angular)
 
 
 def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
     ledger = stage.ledger
     low = ledger.read(prim, "physics:lowerLimit", "range")
     high = ledger.read(prim, "physics:upperLimit", "range")
-    if low is not None and high is not None and low == high:
-        ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+    if low is not None and high is not None and low >= high:
         ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
-        ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
-        return None
-    if low is not None and high is not None and low > high:
+        if low == high:
+            ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+            ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
+            return None
         ledger.assume(prim.GetPath(), "the lower limit is above the upper one: locked, as PhysX", LOCKED)
-        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
         ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are the wrong way round; the joint is locked at 0")
         return -LOCKED, LOCKED
     found = _range(stage.units, low, high, angular, one_sided=not angular)
