@@ -61,7 +61,7 @@ class Names:
 
     def __init__(self, robot: desc.RobotDescription) -> None:
         joints = desc.Numbered(dof.name for dof in robot.dofs)
-        sites = desc.Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        sites = desc.Numbered(site.name for site in robot.sites)
         equalities = desc.Numbered(coupling.name for coupling in robot.couplings)
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.asset.file_limits import FETCH, LARGEST_TEXT, MOST_POINTS, POINTER, require_plain_file
-from wheelleg_exp.asset.rigid_geometry import Array, apply
+from wheelleg_exp.asset.rigid_geometry import Array, apply, turned
 from wheelleg_exp.asset.urdf.urdf_document import PACKAGE, Document, Element, parse_xml
 from wheelleg_exp.asset.usd.gprims import triangles
 from wheelleg_exp.asset.usd.usd_stage import file_hash, relative_name
@@ -109,9 +109,7 @@ def _transform(element: Element) -> Array:
     elif element.tag == "rotate":
         x, y, z, degrees = _numbers(element)
         axis = np.array([x, y, z]) / (math.hypot(x, y, z) or 1.0)
-        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-        angle = math.radians(degrees)
-        out[:3, :3] += math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+        out[:3, :3] = turned(axis, math.radians(degrees))
     return out
 
 

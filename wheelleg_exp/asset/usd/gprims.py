@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, Solid, cone, primitive, rounded, split_scale
+from wheelleg_exp.asset.rigid_geometry import (
+    Z_TO_AXIS,
+    Array,
+    Frame,
+    MeshVolume,
+    Solid,
+    cone,
+    mesh_solid,
+    primitive,
+    rounded,
+    split_scale,
+)
 from wheelleg_exp.asset.robot_description import ShapeKind
 from wheelleg_exp.asset.usd.ledger import number_of, plain
 
@@ -192,7 +203,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         points = np.vstack([points, points.mean(axis=0)])
     with np.errstate(all="ignore"):
         vertices = points @ at.stretch.T
-    if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
+    if len(faces) and area(vertices, faces) < SMALLEST_AREA:
         return None
     # Left-handed orientation and mirroring each reverse the triangles of a mesh; together, they cancel out.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
@@ -212,7 +223,8 @@ def _integers(value: object) -> NDArray[np.int64] | None:
     return None if array.ndim != 1 or (array.size and array.dtype.kind not in "iu") else array.astype(np.int64)
 
 
-def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
+def area(vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Return the area of a mesh with the given points (n, 3) and triangles (k, 3)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     with np.errstate(all="ignore"):
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
@@ -256,6 +268,25 @@ _MAKERS: dict[str, Maker] = {
     "Plane": _plane,
     "Mesh": _mesh,
 }
+
+
+def solid_of(shape: Shape, volume: MeshVolume = "convex") -> Solid | None:
+    """Return the solid of a shape, in the frame of the shape's body; None if the shape has no volume.
+
+    ``volume`` is the volume mode of a mesh, a value of the MJCF mesh attribute ``inertia``.
+    """
+    if shape.kind == "plane":
+        return None
+    try:
+        if shape.weight is not None:
+            solid = shape.weight
+        elif shape.vertices is None:
+            solid = primitive(shape.kind, shape.size)
+        else:
+            solid = mesh_solid(shape.vertices, shape.faces, volume)
+    except ValueError:
+        return None
+    return solid.seen_from(shape.frame) if solid.volume > 0 else None
 
 
 def bounding_box(shape: Shape) -> Shape:

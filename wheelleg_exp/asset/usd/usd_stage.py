@@ -160,6 +160,10 @@ class Stage:
         """The paths of the USD prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
+    def of_type(self, kind: str) -> list[Usd.Prim]:
+        """Return the prims of a USD type, such as ``MjcTendon``."""
+        return [prim for prim in self.prims if prim.GetTypeName() == kind]
+
     def matrix(self, prim: Usd.Prim | None) -> Array:
         """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up."""
         if prim is None:

@@ -55,19 +55,6 @@ class Tree:
     nodes: list[Node] = field(default_factory=list)
     closures: list[Joint] = field(default_factory=list)
 
-    def depth_first(self) -> list[Node]:
-        """Return the nodes of the spanning tree in depth-first order."""
-        children: dict[str | None, list[Node]] = {}
-        for node in self.nodes:
-            children.setdefault(node.parent.path if node.parent else None, []).append(node)
-        out: list[Node] = []
-        stack = list(reversed(children.get(None, [])))
-        while stack:
-            node = stack.pop()
-            out.append(node)
-            stack.extend(reversed(children.get(node.link.path, [])))
-        return out
-
 
 def drawn_in_parent(node: Node) -> Frame:
     """Return the pose of a body in its parent body, as drawn in the USD file."""

@@ -26,17 +26,16 @@ from wheelleg_exp.asset.rigid_geometry import (
     combined_center,
     combined_tensor,
     plain_float,
-    primitive,
     principal,
     quaternion,
     rigid_part,
     rotation_matrix,
     vec3,
 )
-from wheelleg_exp.asset.rigid_geometry import mesh_solid as solid_of_mesh
 from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.colliders import Piece
+from wheelleg_exp.asset.usd.gprims import solid_of
 from wheelleg_exp.asset.usd.materials import physics_material
 from wheelleg_exp.asset.usd.usd_stage import Stage, find_scene, given, schemas
 from wheelleg_exp.errors import AssetError
@@ -54,7 +53,7 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     for piece in pieces:
         if piece.carrier is None or _weightless(stage, piece.carrier):
             continue
-        if (solid := _solid(piece)) is not None:
+        if (solid := solid_of(piece.shape, _volume(piece))) is not None:
             shapes.setdefault(str(piece.carrier.GetPath()), []).append((piece, solid))
     return [_collider(stage, link, group) for group in shapes.values()]
 
@@ -87,16 +86,14 @@ def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
         part = Part(stage.units.mass(mass), part.center, tensor * (stage.units.mass(mass) / part.mass))
     inside = link.frame.inverse().matrix() @ stage.matrix(carrier)
     own = _own_tensor(stage, carrier, inside)
-    center = ledger.read(carrier, "physics:centerOfMass")
-    if center is not None and all(math.isfinite(v) for v in center):
-        ledger.mapped(path, "physics:centerOfMass", "the body's centre of mass")
-        part = part.about(apply(inside, np.array([center]))[0])
+    center = _center(stage, carrier, inside, "the body's centre of mass")
+    part = part if center is None else part.about(center)
     return part if own is None else Part(part.mass, part.center, own)
 
 
 def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
     moments = stage.ledger.read(carrier, "physics:diagonalInertia")
-    if moments is None or not any(v > 0 for v in moments) or not all(math.isfinite(v) for v in moments):
+    if not given_moments(moments):
         return None
     stage.ledger.mapped(carrier.GetPath(), "physics:diagonalInertia", "the body's inertia")
     axes = stage.ledger.read(carrier, "physics:principalAxes")
@@ -105,22 +102,6 @@ def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
         stage.ledger.mapped(carrier.GetPath(), "physics:principalAxes", "the body's inertia")
         turn = turn @ rotation_matrix(axes)
     return np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in moments]) @ turn.T)
-
-
-def _solid(piece: Piece) -> Solid | None:
-    shape = piece.shape
-    if shape.kind == "plane":
-        return None
-    try:
-        if shape.weight is not None:
-            solid = shape.weight
-        elif shape.vertices is None:
-            solid = primitive(shape.kind, shape.size)
-        else:
-            solid = solid_of_mesh(shape.vertices, shape.faces, _volume(piece))
-    except ValueError:
-        return None
-    return solid.seen_from(shape.frame) if solid.volume > 0 else None
 
 
 def _volume(piece: Piece) -> MeshVolume:
@@ -164,7 +145,9 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
     Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts zero mass only for a ``welded``
     body, which cannot move relative to its parent.
     """
-    authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
+    inside = link.frame.inverse().matrix() @ stage.matrix(link.prim)
+    authored, center = _authored_mass(stage, link), _center(stage, link.prim, inside, "inertial pos")
+    moments = _authored_moments(stage, link)
     parts: list[Part] = []
     if authored is None or center is None or moments is None:
         parts = parts_of(stage, link, pieces)
@@ -243,13 +226,15 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
     return mass
 
 
-def _center(stage: Stage, link: Link) -> Array | None:
-    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none."""
-    value = stage.ledger.read(link.prim, "physics:centerOfMass")
+def _center(stage: Stage, prim: Usd.Prim, inside: Array, became: str) -> Array | None:
+    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none.
+
+    ``inside`` (4, 4) maps coordinates of the prim to coordinates of its body in metres.
+    """
+    value = stage.ledger.read(prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None
-    stage.ledger.mapped(link.path, "physics:centerOfMass", "inertial pos")
-    inside = link.frame.inverse().matrix() @ stage.matrix(link.prim)
+    stage.ledger.mapped(prim.GetPath(), "physics:centerOfMass", became)
     return apply(inside, np.array([value]))[0]
 
 

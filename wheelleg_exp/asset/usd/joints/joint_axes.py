@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.rigid_geometry import Frame, turned
 from wheelleg_exp.asset.robot_description import Vec3
 from wheelleg_exp.asset.usd.usd_stage import Stage, Units, endless, schemas
 
@@ -101,13 +100,6 @@ def _at(stage: Stage, prim: Usd.Prim, token: str, value: float) -> Frame:
     if token in SLIDES:
         return Frame(np.eye(3), unit * size)
     return Frame(turned(unit, size), np.zeros(3))
-
-
-def turned(axis: Array, angle: float) -> Array:
-    """Return the 3x3 rotation about a unit axis (3,) by an angle in rad (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
 
 
 Range = tuple[float, float]
