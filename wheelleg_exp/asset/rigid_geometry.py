@@ -208,12 +208,9 @@ class Part:
 
     def about(self, center: Array) -> Part:
         """Return a copy of the body part whose inertia tensor is about the point ``center`` (parallel-axis theorem)."""
-        return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
-
-
-def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the inertia tensor (3, 3) of a point mass at ``offset`` (3,), as in the parallel-axis theorem."""
-    return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
+        offset = self.center - center
+        shift = self.mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset))
+        return Part(self.mass, center, self.tensor + shift)
 
 
 def combined_center(parts: Iterable[Part]) -> Array:

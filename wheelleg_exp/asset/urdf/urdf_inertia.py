@@ -99,8 +99,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geomet
 
 def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | None:
     """Return a link's inertia tensor in its ``<inertial>`` frame; None if the tensor is missing or almost zero."""
-    inertial = link.element.first("inertial")
-    element = inertial.first("inertia") if inertial else None
+    element = link.element.first("inertial", "inertia")
     if element is None:
         return None
     values = [document.number(element, name, "inertial diaginertia and quat") or 0.0 for name in TENSOR]

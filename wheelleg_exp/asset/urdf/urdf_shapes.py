@@ -129,7 +129,7 @@ class Shapes:
                 return None
             return Shape(KINDS[placed.kind], placed.size, frame)
         geometry = placed.element.first("geometry")
-        mesh = geometry.first("mesh") if geometry else None
+        mesh = placed.element.first("geometry", "mesh")
         if mesh is not None:
             name = self.document.text(mesh, "filename", "mesh file") or ""
             scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)

@@ -305,7 +305,7 @@ def bounding_sphere(shape: Shape) -> Shape:
     return Shape("sphere", _clean(radius), shape.frame @ Frame(np.eye(3), middle), note="sphere around the mesh")
 
 
-def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
+def flat_to_box(shape: Shape) -> Shape:
     """Return a thin box for a mesh whose points are in one plane, else the shape itself."""
     assert shape.vertices is not None
     middle = shape.vertices.mean(axis=0)
@@ -316,7 +316,7 @@ def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
     local = (shape.vertices - middle) @ axes.T
     low, high = local.min(axis=0), local.max(axis=0)
     half = (high - low) / 2
-    half[2] = thickness / 2
+    half[2] = THIN / 2
     center = (low + high) / 2
     frame = shape.frame @ Frame(axes.T, middle + axes.T @ center)
     return Shape("box", _clean(*half), frame, note="flat: a thin box")

@@ -283,9 +283,9 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     names = tuple(item.name for item in missing)
     stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
     for item in missing:
-        what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
+        what = "not found" if item.is_file else f"{item.prims[0]}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
-        stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
+        stage.ledger.find("layer_not_found", item.name, item.prims[0], places=len(item.prims), looks=item.looks_only)
     for name, options in variant_sets(root).items():  # USD ignores all variants of a variant set without a selection.
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():

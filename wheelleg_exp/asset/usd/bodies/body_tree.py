@@ -169,15 +169,11 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
         if trade is None:
             builder.note()
             return tree
-        _trade(stage, *trade)
-        settled.add(trade[0].path)
-
-
-def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
-    kept.closes, opened.closes = False, True
-    rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
-    stage.ledger.assume(kept.path, rule, "a joint of the tree")
-    stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
+        kept, opened = trade
+        kept.closes, opened.closes = False, True
+        rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
+        stage.ledger.assume(kept.path, rule, "a joint of the tree")
+        stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
 
 
 def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:

@@ -243,7 +243,10 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
     ledger, factor = stage.ledger, stage.units.inertia(1.0)
     six = ledger.read(link.prim, "newton:inertia")
     if six is not None and len(six) == 6 and any(six):
-        _newton_wins(stage, link)
+        ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
+        for name in ("physics:diagonalInertia", "physics:principalAxes"):
+            if (value := ledger.read(link.prim, name)) is not None:
+                ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
         a, b, c, d, e, f = (v * factor for v in six)
         return principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
     moments = ledger.read(link.prim, "physics:diagonalInertia")
@@ -255,13 +258,6 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
         ledger.warn(f"{link.path}: moments of inertia {moments} are read without their signs")
     x, y, z = (abs(float(v)) * factor for v in moments)
     return (x, y, z), _authored_axes(stage, link)
-
-
-def _newton_wins(stage: Stage, link: Link) -> None:
-    stage.ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
-    for name in ("physics:diagonalInertia", "physics:principalAxes"):
-        if (value := stage.ledger.read(link.prim, name)) is not None:
-            stage.ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
 
 
 def given_moments(value: Any) -> bool:

@@ -84,10 +84,8 @@ def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | Non
 
 def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
     kind, same = str(prim.GetTypeName()), Frame.identity()
-    if kind == "PhysicsRevoluteJoint":
-        return single_axis(stage, prim, angular=True), same
-    if kind == "PhysicsPrismaticJoint":
-        return single_axis(stage, prim, angular=False), same
+    if kind in ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint"):
+        return single_axis(stage, prim, kind == "PhysicsRevoluteJoint"), same
     if kind == "PhysicsSphericalJoint":
         return ball_axes(stage, prim), same
     if kind == "PhysicsFixedJoint":
