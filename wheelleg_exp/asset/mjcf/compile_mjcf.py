@@ -53,10 +53,6 @@ def mujoco_warnings() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-Comparison = tuple[str, object, object]
-"""A quantity's name, its value in the model, and its value in the description."""
-
-
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
     """Raise an AssetError if a bug in the converter makes the MuJoCo model differ from the robot description."""
     try:
@@ -67,7 +63,8 @@ def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
         raise AssetError(f"MuJoCo's model of '{source}' lacks an element of the file: {error.args[0]}") from None
 
 
-def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Comparison]:
+def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[tuple[str, object, object]]:
+    """Yield the name of each quantity, its value in the model, and its value in the description."""
     for body in robot.bodies:
         found, name, inertial = model.body(body.name), body.name, body.inertial
         yield f"parent of {name}", found.parentid, model.body(body.parent).id if body.parent is not None else 0

@@ -11,18 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from wheelleg_exp.asset.rigid_geometry import (
-    Z_TO_AXIS,
-    Array,
-    Frame,
-    MeshVolume,
-    Solid,
-    cone,
-    mesh_solid,
-    primitive,
-    rounded,
-    split_scale,
-)
+from wheelleg_exp.asset import rigid_geometry as geometry
+from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, MeshVolume, Solid
 from wheelleg_exp.asset.robot_description import ShapeKind
 from wheelleg_exp.asset.usd.ledger import number_of, plain
 
@@ -60,7 +50,7 @@ def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
     make = _MAKERS.get(str(prim.GetTypeName()))
     if make is None:
         return None
-    rotation, stretch = split_scale(matrix[:3, :3])
+    rotation, stretch = geometry.split_scale(matrix[:3, :3])
     return make(prim, _Placing(rotation, stretch, matrix[:3, 3].copy()))
 
 
@@ -84,7 +74,7 @@ Maker = Callable[[Usd.Prim, _Placing], "Shape | None"]
 
 
 def _clean(*sizes: float) -> tuple[float, ...]:
-    return tuple(rounded(float(size)) for size in sizes)
+    return tuple(geometry.rounded(float(size)) for size in sizes)
 
 
 def _axis(prim: Usd.Prim) -> tuple[str, str]:
@@ -110,7 +100,7 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
         return Shape("ellipsoid", _clean(*(radius * np.abs(values))), at.frame(axes), note="scaled unevenly: ellipsoid")
     if np.ptp(at.scale) <= 1e-6 * at.scale.max():
         return Shape("sphere", _clean(radius * at.scale[0]), at.frame())
-    weight = primitive("sphere", (radius * float(at.scale.max()),))
+    weight = geometry.primitive("sphere", (radius * float(at.scale.max()),))
     note = "scaled unevenly: ellipsoid, weighed as the sphere around it as in PhysX"
     return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
 
@@ -178,7 +168,7 @@ def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
 
 def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
     """Return a drawn plane as a thin box, for bodies that move: MuJoCo's planes are static."""
-    rotation, stretch = split_scale(matrix[:3, :3])
+    rotation, stretch = geometry.split_scale(matrix[:3, :3])
     along = "XYZ".index(_axis(prim)[0])
     sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # UsdGeomPlane's width and length
     half = np.full(3, THIN / 2)
@@ -250,7 +240,7 @@ def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, hal
         return hull
     along = "XYZ".index(axis)
     size = radius * float(np.delete(at.scale, along).max()), half * float(at.scale[along])
-    solid = cone(*size) if kind == "cone" else primitive(kind, size)
+    solid = geometry.cone(*size) if kind == "cone" else geometry.primitive(kind, size)
     mirrored = -1.0 if np.trace(at.stretch) < 0 else 1.0
     return replace(hull, weight=solid.seen_from(Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
 
@@ -281,9 +271,9 @@ def solid_of(shape: Shape, volume: MeshVolume = "convex") -> Solid | None:
         if shape.weight is not None:
             solid = shape.weight
         elif shape.vertices is None:
-            solid = primitive(shape.kind, shape.size)
+            solid = geometry.primitive(shape.kind, shape.size)
         else:
-            solid = mesh_solid(shape.vertices, shape.faces, volume)
+            solid = geometry.mesh_solid(shape.vertices, shape.faces, volume)
     except ValueError:
         return None
     return solid.seen_from(shape.frame) if solid.volume > 0 else None

@@ -100,16 +100,16 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     usd.SetEditTarget(usd.GetSessionLayer())
     chosen = {}
     for name, wanted in variants.items():
+        key = f"--variant {name}={wanted}"
         holders = [prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames()]
         if not holders:
             known = list(variant_sets(root))
-            message, key = f"there is no variant set '{name}'", f"--variant {name}={wanted}"
             expected = "one of " + ", ".join(known) if known else "no variants: the file has none"
-            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(name, known))
+            nearest = nearest_name(name, known)
+            raise AssetError(f"there is no variant set '{name}'", key=key, expected=expected, nearest=nearest)
         options = holders[0].GetVariantSet(name).GetVariantNames()
         if wanted not in options:
-            message, key = f"variant set '{name}' has no variant '{wanted}'", f"--variant {name}={wanted}"
-            expected = "one of " + ", ".join(options)
+            message, expected = f"variant set '{name}' has no variant '{wanted}'", "one of " + ", ".join(options)
             raise AssetError(message, key=key, expected=expected, nearest=nearest_name(wanted, options))
         holders[0].GetVariantSet(name).SetVariantSelection(wanted)
         chosen[name] = wanted
