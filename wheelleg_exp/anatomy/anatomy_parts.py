@@ -190,13 +190,11 @@ class Tree:
     @cached_property
     def to_base(self) -> Array:
         """The rotation from the axes of the world to the axes of the base, (3, 3)."""
-        rotation: Array = self.data.xmat[self.base].reshape(3, 3).T
-        return rotation
+        return self.data.xmat[self.base].reshape(3, 3).T
 
     def point(self, world: Array) -> Array:
         """Convert a point from world coordinates to coordinates of the base, m."""
-        found: Array = self.to_base @ (world - self.data.xpos[self.base])
-        return found
+        return self.to_base @ (world - self.data.xpos[self.base])
 
     @cached_property
     def up(self) -> Array:

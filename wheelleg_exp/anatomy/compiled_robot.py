@@ -302,13 +302,16 @@ def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[s
     """Return a config section ``env.robot`` without actuators, with the default joint positions ``positions``."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}
-    settings: dict[str, Any] = {
+    return {
+        "profile": "survey",
+        "asset": name,
+        "base": "auto",
+        "init_state": state,
         "joint_order": None,
         "soft_joint_pos_limit_factor": 1.0,
         "friction_source": "static",
         "actuators": {},
     }
-    return {"profile": "survey", "asset": name, "base": "auto", "init_state": state, **settings}
 
 
 def missing_colliders(report: Report, model: mujoco.MjModel) -> str:

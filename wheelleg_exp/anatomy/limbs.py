@@ -54,11 +54,10 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
     highest = -down + _LOW * (top + down)  # A wheel's lowest point is at most at this world height, m.
     for joint in tree.joints:
         # A wheel's joint is a horizontal hinge and the last joint of its kinematic chain.
-        body = int(tree.model.jnt_bodyid[joint])
-        last = sum(len(tree.joints_of(other)) for other in tree.below(body)) == 1
+        bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
+        last = sum(len(tree.joints_of(body)) for body in bodies) == 1
         if not (tree.is_hinge(joint) and last and abs(float(tree.data.xaxis[joint] @ tree.up)) < LEVEL):
             continue
-        bodies = tree.below(int(tree.model.jnt_bodyid[joint]))
         solid = colliders(tree.model, bodies)
         drawn = [geom for geom in range(tree.model.ngeom) if int(tree.model.geom_bodyid[geom]) in bodies]
         if not solid:
@@ -155,8 +154,8 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
     model = tree.model
     chains = {wheel: tree.chain(int(model.jnt_bodyid[wheel]))[:-1] for wheel in wheels}
     on_chains = {joint for chain in chains.values() for joint in chain} | set(wheels)
-    # ``found`` lists the name and both body indices of each MuJoCo equality constraint between robot bodies.
-    model, found = tree.model, []
+    # ``closures`` lists the name and both body indices of each MuJoCo equality constraint between robot bodies.
+    closures = []
     for index in range(model.neq):
         if int(model.eq_type[index]) not in _HOLDS:
             continue
@@ -164,12 +163,11 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if model.eq_objtype[index] != _BODY:
             pair = int(model.site_bodyid[pair[0]]), int(model.site_bodyid[pair[1]])
         if set(pair) <= set(tree.bodies):
-            found.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
-    closures = found
+            closures.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     # ``limbs`` maps each body that moves relative to the base to the set of all bodies of the same limb.
     fixed = set(tree.fixed_to(tree.base))
     limbs = {body: {body} for body in tree.bodies if body not in fixed}
-    links = [(body, int(tree.model.body_parentid[body])) for body in limbs]
+    links = [(body, int(model.body_parentid[body])) for body in limbs]
     for one, other in [*links, *[pair for _, pair in closures]]:
         if one in limbs and other in limbs and limbs[one] is not limbs[other]:
             limbs[one] |= limbs[other]

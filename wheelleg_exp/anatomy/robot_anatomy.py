@@ -129,8 +129,7 @@ def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, move
 def _down(axis: Array, up: Array) -> Array:
     """Return the direction from a wheel's centre to the ground: down, in the wheel's plane."""
     down = -up + (up @ axis) * axis
-    unit: Array = down / np.linalg.norm(down)
-    return unit
+    return down / np.linalg.norm(down)
 
 
 def _steering_joint(tree: Tree, wheel: int) -> int | None:
@@ -161,8 +160,7 @@ def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
     forward /= np.linalg.norm(forward)
     x, y, z = tree.to_base @ forward
     along = next(part for part in (x, y, z) if abs(part) >= _AHEAD)
-    ahead: Array = forward if along > 0 else -forward
-    return ahead
+    return forward if along > 0 else -forward
 
 
 def _side(centre: Array, wheels: Sequence[Found], left: Array | None) -> Side:

@@ -199,7 +199,7 @@ class _Problem:
 
     def _clearances(self, centres: Array) -> Array:
         """Return how much higher each wheel's lowest point is than the average of all wheels, m, (wheels,)."""
-        lows: Array = centres @ self.up - self.radii
+        lows = centres @ self.up - self.radii
         return lows - lows.mean()
 
     def cost(self, positions: Array) -> float:
@@ -252,8 +252,7 @@ class Weight:
 
 def weight_over_axle(robot: CompiledRobot) -> Weight:
     """Return the robot's centre of mass at the start of episodes; the robot must have a forward direction."""
-    model, anatomy = robot.model, robot.anatomy
-    data = robot.data
+    model, data, anatomy = robot.model, robot.data, robot.anatomy
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
     turned = {model.body(name).id for wheel in anatomy.standing for name in wheel.bodies}
     upper = [body for body in (model.body(name).id for name in robot.bodies) if body not in turned]

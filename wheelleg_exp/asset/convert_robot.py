@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 
 import mujoco
@@ -16,7 +17,7 @@ from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.report_writer import measure_sizes
 from wheelleg_exp.asset.rigid_geometry import Frame
-from wheelleg_exp.asset.robot_description import BaseMode, Body, RobotDescription
+from wheelleg_exp.asset.robot_description import BaseMode, Body, RobotDescription, depth_first
 from wheelleg_exp.asset.robot_values import values_of
 from wheelleg_exp.asset.urdf.urdf_robot import SUFFIXES as URDF
 from wheelleg_exp.asset.urdf.urdf_robot import read_urdf
@@ -79,7 +80,7 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
         require_near((*body.pose.position, *body.inertial.center_of_mass), key=body.path, where=str(source))
         for dof in body.dofs:
             require_near(dof.anchor, key=dof.path, where=str(source))
-    for geom in (*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)):
+    for geom in robot.geoms:
         require_near((*geom.pose.position, *geom.size), key=geom.path, where=str(source))
     points, available = sum(len(mesh.vertices) + len(mesh.faces) for mesh in robot.meshes), machine_memory()
     need = points * POINT_BYTES
@@ -117,12 +118,8 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
     rule = "the root link has no mass: the first link with mass is the root"
     report = replace(report, assumptions=(*report.assumptions, Assumption(root.path, rule, path[-1].name)))
     unchanged = (body for body in robot.bodies if body not in path)
-    robot = replace(robot, bodies=(*reversed(turned), *unchanged))
-    stack, ordered = list(robot.children(None))[::-1], list[Body]()
-    while stack:  # depth first, like MuJoCo
-        ordered.append(stack.pop())
-        stack += list(robot.children(ordered[-1].name))[::-1]
-    return replace(robot, bodies=tuple(ordered)), report
+    bodies = depth_first((*reversed(turned), *unchanged), attrgetter("name"), attrgetter("parent"))
+    return replace(robot, bodies=bodies), report
 
 
 def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:

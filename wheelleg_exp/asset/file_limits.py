@@ -55,17 +55,15 @@ POINTER = b"version https://git-lfs"
 FETCH = "a Git LFS pointer, not the file itself: 'git lfs pull' fetches the file"
 
 
-def require_plain_file(
-    path: Path, expected: str, largest: int = LARGEST_FILE, *, key: str | None = None, where: str | None = None
-) -> None:
+def require_plain_file(path: Path, expected: str, largest: int = LARGEST_FILE, *, where: str | None = None) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
-    ``expected`` is the error message's description of a valid file, such as ``a layer of USD``. ``key`` is the USD prim
-    or XML element that refers to ``path``, and ``where`` is the file that contains this element.
+    ``expected`` is the error message's description of a valid file, such as ``a layer of USD``. ``where`` is the file
+    that refers to ``path``.
     """
     problem = _problem_of(path, largest)
     if problem:
-        raise AssetError(problem, key=key, where=where, expected=expected)
+        raise AssetError(problem, where=where, expected=expected)
 
 
 def _problem_of(path: Path, largest: int) -> str:

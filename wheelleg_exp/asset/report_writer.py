@@ -13,7 +13,6 @@ from wheelleg_exp.asset.conversion_report import DofOrder, Finding, Report
 from wheelleg_exp.asset.robot_description import Body, RobotDescription
 from wheelleg_exp.asset.robot_values import plain
 from wheelleg_exp.asset.usd.ledger import Ledger
-from wheelleg_exp.asset.usd.usd_stage import Stage
 
 FALLS = "no shape of the robot collides: it falls through any ground"
 
@@ -67,21 +66,6 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
         size = np.ptp(np.vstack([centers - halves, centers + halves, data.xanchor[joints] @ axes]), axis=0).max()
         numbers = {"mass": float(model.body_subtreemass[root]), "size": float(size)}
         yield Finding("implausible_size", body.name, body.path, numbers)
-
-
-def summarise(stage: Stage, robot: RobotDescription) -> Report:
-    """Return the conversion report of a robot that was read from a USD stage."""
-    units = stage.units
-    return report_of(
-        robot,
-        stage.ledger,
-        source=stage.source.name,
-        root=str(stage.root.GetPath()),
-        stage={"metersPerUnit": units.meters, "kilogramsPerUnit": units.kilograms, "upAxis": str(units.up)},
-        variants=stage.variants,
-        unresolved=stage.unresolved,
-        layers=stage.layers,
-    )
 
 
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:

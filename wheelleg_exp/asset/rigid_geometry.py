@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wheelleg_exp.asset.robot_description import Pose, Quat, Vec3
 
@@ -64,7 +64,7 @@ def vec3(values: Array) -> Vec3:
     return x, y, z
 
 
-def rotation_matrix(quat: Quat) -> Array:
+def rotation_matrix(quat: ArrayLike) -> Array:
     """Return the 3x3 rotation matrix of a quaternion (w, x, y, z), which may have any length."""
     q = np.asarray(quat, dtype=float)
     w, x, y, z = q / np.linalg.norm(q)
@@ -150,6 +150,13 @@ def split_scale(linear: Array) -> tuple[Array, Array]:
     return (-rotation, -stretch) if np.linalg.det(rotation) < 0 else (rotation, stretch)
 
 
+def turned(axis: Array, angle: float) -> Array:
+    """Return the 3x3 rotation about a unit axis (3,) by an angle in rad (Rodrigues' formula)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
+
+
 def rigid_part(matrix: Array) -> Frame:
     """Return the rigid part of a 4x4 transform, without scale, shear, and mirroring."""
     return Frame(split_scale(matrix[:3, :3])[0], matrix[:3, 3].copy())
@@ -201,12 +208,9 @@ class Part:
 
     def about(self, center: Array) -> Part:
         """Return a copy of the body part whose inertia tensor is about the point ``center`` (parallel-axis theorem)."""
-        return Part(self.mass, center, self.tensor + parallel_axis(self.mass, self.center - center))
-
-
-def parallel_axis(mass: float, offset: Array) -> Array:
-    """Return the inertia tensor (3, 3) of a point mass at ``offset`` (3,), as in the parallel-axis theorem."""
-    return np.asarray(mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset)))
+        offset = self.center - center
+        shift = self.mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset))
+        return Part(self.mass, center, self.tensor + shift)
 
 
 def combined_center(parts: Iterable[Part]) -> Array:
@@ -223,6 +227,12 @@ def combined_tensor(parts: Sequence[Part], mass: float, center: Array) -> Array:
     total = sum(part.mass for part in parts)
     tensor = sum((part.about(center).tensor for part in parts), np.zeros((3, 3)))
     return np.asarray(tensor * (mass / total))
+
+
+def tensor_of(moments: ArrayLike, axes: ArrayLike) -> Array:
+    """Return the inertia tensor (3, 3) with the given principal moments (3,) and principal axes (w, x, y, z)."""
+    turn = rotation_matrix(axes)
+    return np.asarray(turn @ np.diag(np.asarray(moments, dtype=float)) @ turn.T)
 
 
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
@@ -329,7 +339,6 @@ def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVol
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh", density=1.0)
     # MuJoCo compiles a mesh of size 1, so the results are multiplied by powers of the mesh's real ``size``.
     model = spec.compile()
-    axes = rotation_matrix(tuple(model.body_iquat[1]))
-    inertia = axes @ np.diag(model.body_inertia[1]) @ axes.T
+    inertia = tensor_of(model.body_inertia[1], model.body_iquat[1])
     power = 2 if volume == "shell" else 3
     return Solid(float(model.body_mass[1]) * size**power, model.body_ipos[1] * size, inertia * size ** (power + 2))

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,6 +288,16 @@ class RobotDescription:
         return tuple(dof.name for dof in self.dofs if dof.drive is not None)
 
     @property
+    def geoms(self) -> tuple[Geom, ...]:
+        """The shapes of the world body and of all other bodies."""
+        return (*self.static_geoms, *(geom for body in self.bodies for geom in body.geoms))
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """The sites of the world body and of all other bodies."""
+        return (*self.static_sites, *(site for body in self.bodies for site in body.sites))
+
+    @property
     def colliders(self) -> tuple[Geom, ...]:
         """The colliding shapes of all bodies except the world body."""
         return tuple(geom for body in self.bodies for geom in body.geoms if geom.collides)
@@ -295,6 +305,24 @@ class RobotDescription:
     def children(self, parent: str | None) -> Iterator[Body]:
         """Yield the bodies below a parent body (None: the world)."""
         return (body for body in self.bodies if body.parent == parent)
+
+
+Item = TypeVar("Item")
+
+
+def depth_first(
+    items: Iterable[Item], name: Callable[[Item], str], parent: Callable[[Item], str | None]
+) -> tuple[Item, ...]:
+    """Return the bodies of a tree in depth-first order, like MuJoCo: each parent body before its children."""
+    children: dict[str | None, list[Item]] = {}
+    for item in items:
+        children.setdefault(parent(item), []).append(item)
+    ordered: list[Item] = []
+    stack = children.get(None, [])[::-1]
+    while stack:
+        ordered.append(stack.pop())
+        stack += children.get(name(ordered[-1]), [])[::-1]
+    return tuple(ordered)
 
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body

@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from wheelleg_exp.asset.rigid_geometry import rotation_matrix
+from wheelleg_exp.asset.rigid_geometry import tensor_of
 from wheelleg_exp.asset.robot_description import Body, Dof, Drive, Geom, Mesh, RobotDescription
 
 
@@ -27,8 +25,7 @@ def values_of(robot: RobotDescription) -> dict[str, Any]:
 
 def _body(body: Body) -> dict[str, Any]:
     inertial = body.inertial
-    turn = rotation_matrix(inertial.axes)
-    tensor = turn @ np.diag(inertial.moments) @ turn.T
+    tensor = tensor_of(inertial.moments, inertial.axes)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
     return {
         **_fields(body, "path parent floating"),

@@ -115,7 +115,7 @@ class Survey:
     wheels: list[str]
     passive: list[str]
     positions: dict[str, float]
-    rotation: tuple[float, float, float, float]
+    rotation: Quaternion
     standing: Standing | None
     overlaps: dict[tuple[str, str], float]
     facts: RobotFacts
@@ -184,8 +184,8 @@ def _measured(
     conversion: Conversion, robot: Robot, model: mujoco.MjModel, pose: Mapping[str, float], standing: Standing | None
 ) -> Survey:
     description = conversion.description
-    dofs = {dof.name: dof for dof in description.dofs}
-    dofs = {name: dofs[name] for name in robot.joint_names}
+    by_name = {dof.name: dof for dof in description.dofs}
+    dofs = {name: by_name[name] for name in robot.joint_names}
     data = _at(model, robot, pose)
     limited = with_written_limits(model, conversion.report)
     anatomy = anatomy_of(limited, data.qpos, description.driven or None)
@@ -195,10 +195,8 @@ def _measured(
     limbs = {name for leg in anatomy.legs for name in (*leg.joints, *leg.beside)} if wheels else set(driven)
     legs = [name for name in driven if name in limbs]
     turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
-    touching = {
-        min(wheel.bodies, key=lambda name: lowest_point(model, data, [model.body(name).id])) for wheel in anatomy.wheels
-    }
     lows = {name: lowest_point(model, data, [model.body(name).id]) for name in robot.body_names}
+    touching = {min(wheel.bodies, key=lows.__getitem__) for wheel in anatomy.wheels}
     least = min(lows.values()) + _GROUND * facts.standing_height
     depths = sorted(overlap_depths(model, data, range(1, model.nbody)).items(), key=lambda item: -item[1])
     root = robot.body_names[0]

@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_model import JointTargets
-from wheelleg_exp.state import Stateful
+from wheelleg_exp.state import Stateful, cloned
 
 
 class DelayBuffer:
@@ -63,7 +63,7 @@ class DelayBuffer:
     def state_dict(self) -> dict[str, Any]:
         """Return the stored samples and the lags of all environments."""
         state = {"samples": self._samples, "is_first": self._is_first, "lag": self.lag, "last_lag": self._last_lag}
-        return {name: value.clone() for name, value in (state | {"share": self.share}).items()}
+        return cloned({**state, "share": self.share})
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""

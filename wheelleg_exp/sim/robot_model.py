@@ -29,16 +29,15 @@ class RobotLayout(Kept):
             bodies.extend(body.bodies)
         self.body_names = [body.name for body in bodies]
         self.floating = any(j.type == mujoco.mjtJoint.mjJNT_FREE for j in bodies[0].joints)
-        wanted = options.base
-        if wanted != "auto" and (wanted == "floating") != self.floating:
-            message = f"the model's base is {'floating' if self.floating else 'fixed'}, not '{wanted}'"
+        base = "floating" if self.floating else "fixed"
+        if options.base not in ("auto", base):
+            message = f"the model's base is {base}, not '{options.base}'"
             raise ConfigError(message, key="env.robot.base", expected="auto, or the base that the model has")
         found = [j.name for body in bodies for j in body.joints if j.type != mujoco.mjtJoint.mjJNT_FREE]
         for error in () if options.joint_order is None else order_errors(options.joint_order, found):
             raise error
         self.joint_names = found if options.joint_order is None else list(options.joint_order)
-        init, names = self._options.init_state, self.joint_names
-        key = "env.robot.init_state"
+        init, names, key = options.init_state, self.joint_names, "env.robot.init_state"
         pos = values_by_name(init.joint_pos, names, 0.0, key=f"{key}.joint_pos", what="joint")
         vel = values_by_name(init.joint_vel, names, 0.0, key=f"{key}.joint_vel", what="joint")
         self._default_positions = [float(value) for value in pos]
@@ -46,7 +45,7 @@ class RobotLayout(Kept):
         self.default_root_pos = self._numbers(init.pos)
         self.default_root_quat = torch.nn.functional.normalize(self._numbers(init.rot), dim=0)
         if not self.floating:  # Events and actions cannot move a fixed base.
-            bodies[0].pos, bodies[0].quat = options.init_state.pos, options.init_state.rot
+            bodies[0].pos, bodies[0].quat = init.pos, init.rot
 
     def bind(self, model: mujoco.MjModel) -> None:
         """Read ids and limits from the compiled model; raise ConfigError if a joint's default is outside its limits."""
@@ -79,8 +78,7 @@ class RobotLayout(Kept):
 
 def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
     """Scale the ranges (..., 2) of joint limits by ``factor`` about their middles; infinite limits do not change."""
-    middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2
-    half = half * factor
+    middle, half = limits.mean(dim=-1), (limits[..., 1] - limits[..., 0]) / 2 * factor
     soft = torch.stack((middle - half, middle + half), dim=-1)
     return torch.where(limits.isfinite().all(dim=-1, keepdim=True), soft, limits)
 

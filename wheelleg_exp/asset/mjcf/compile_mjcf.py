@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
-from wheelleg_exp.asset.rigid_geometry import rotation_matrix
+from wheelleg_exp.asset.rigid_geometry import rotation_matrix, tensor_of
 from wheelleg_exp.asset.robot_description import RobotDescription
 from wheelleg_exp.errors import AssetError
 
@@ -53,10 +53,6 @@ def mujoco_warnings() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-Comparison = tuple[str, object, object]
-"""A quantity's name, its value in the model, and its value in the description."""
-
-
 def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
     """Raise an AssetError if a bug in the converter makes the MuJoCo model differ from the robot description."""
     try:
@@ -67,18 +63,19 @@ def verify(model: mujoco.MjModel, robot: RobotDescription, source: str) -> None:
         raise AssetError(f"MuJoCo's model of '{source}' lacks an element of the file: {error.args[0]}") from None
 
 
-def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Comparison]:
+def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[tuple[str, object, object]]:
+    """Yield the name of each quantity, its value in the model, and its value in the description."""
     for body in robot.bodies:
         found, name, inertial = model.body(body.name), body.name, body.inertial
         yield f"parent of {name}", found.parentid, model.body(body.parent).id if body.parent is not None else 0
         yield f"position of {name}", found.pos, body.pose.position
-        yield f"rotation of {name}", _turn(found.quat), _turn(body.pose.rotation)
+        yield f"rotation of {name}", rotation_matrix(found.quat), rotation_matrix(body.pose.rotation)
         yield f"mass of {name}", found.mass, inertial.mass
         yield f"centre of mass of {name}", found.ipos, inertial.center_of_mass
         # MuJoCo can reorder a body's principal axes, so compare the body's whole inertia tensor.
         scale = max(inertial.moments) or 1.0
-        got = _tensor(found.inertia, found.iquat)
-        yield f"inertia of {name}", got / scale, _tensor(inertial.moments, inertial.axes) / scale
+        got = tensor_of(found.inertia, found.iquat)
+        yield f"inertia of {name}", got / scale, tensor_of(inertial.moments, inertial.axes) / scale
     for dof in robot.dofs:
         joint, joint_name = model.joint(dof.name), dof.name
         yield f"kind of {joint_name}", joint.type, int(KINDS[dof.kind])
@@ -93,30 +90,18 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[Com
         if "springdamper" not in dof.extra:  # MuJoCo computes stiffness and damping from ``springdamper``.
             yield f"damping of {joint_name}", joint.damping[0], dof.damping
             yield f"stiffness of {joint_name}", joint.stiffness, dof.stiffness
-    geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
     anchors = sum(len(closure.anchors) for closure in robot.closures)
-    sites = len(robot.static_sites) + sum(len(body.sites) for body in robot.bodies)
     bits = model.geom_contype | model.geom_conaffinity
     yield "number of bodies", model.nbody - 1, len(robot.bodies)
     yield "number of joints", model.njnt, len(robot.dofs) + sum(body.floating for body in robot.bodies)
-    yield "number of shapes", model.ngeom, len(geoms)
-    yield "number of colliders", np.count_nonzero(bits), sum(geom.collides for geom in geoms)
-    yield "number of sites", model.nsite, sites + 2 * anchors
+    yield "number of shapes", model.ngeom, len(robot.geoms)
+    yield "number of colliders", np.count_nonzero(bits), sum(geom.collides for geom in robot.geoms)
+    yield "number of sites", model.nsite, len(robot.sites) + 2 * anchors
     yield "number of equalities", model.neq, anchors + len(robot.couplings)
     yield "number of exclusions", model.nexclude, len(robot.exclusions)
     yield "number of tendons", model.ntendon, len(robot.tendons)
     drives = sum(dof.drive is not None for dof in robot.dofs)
     yield "number of actuators", model.nu, drives + len(robot.actuators)
-
-
-def _turn(rotation: object) -> np.ndarray:
-    w, x, y, z = np.asarray(rotation, float)
-    return rotation_matrix((w, x, y, z))
-
-
-def _tensor(moments: object, axes: object) -> np.ndarray:
-    turn = _turn(axes)
-    return np.asarray(turn @ np.diag(np.asarray(moments, float)) @ turn.T)
 
 
 def with_force_gains(robot: RobotDescription) -> RobotDescription:

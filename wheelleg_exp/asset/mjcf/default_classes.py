@@ -268,9 +268,8 @@ def _family(name: str, geoms: list[Geom], fixed: Attributes) -> Family:
 
 
 def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
-    sites = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
     yield Family("joint", {dof.name: of.joint(dof) for dof in robot.dofs}, root)
-    yield Family("site", {site.name: of.site(site) for site in sites}, root)
+    yield Family("site", {site.name: dict(site.extra) for site in robot.sites}, root)
     yield Family("tendon", {item.name: of.tendon(item) for item in robot.tendons}, root)
     constraints: list[Closure | Coupling] = [*robot.closures, *robot.couplings]
     equalities = {of.key(item): of.equality(item) for item in constraints}

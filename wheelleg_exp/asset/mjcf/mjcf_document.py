@@ -61,7 +61,7 @@ class Names:
 
     def __init__(self, robot: desc.RobotDescription) -> None:
         joints = desc.Numbered(dof.name for dof in robot.dofs)
-        sites = desc.Numbered(s.name for s in (*robot.static_sites, *(s for body in robot.bodies for s in body.sites)))
+        sites = desc.Numbered(site.name for site in robot.sites)
         equalities = desc.Numbered(coupling.name for coupling in robot.couplings)
         self.free_joints = {body.name: joints.take(f"{body.name}_free") for body in robot.bodies if body.floating}
         self.equalities: dict[str, list[tuple[str, str, str]]] = {}
@@ -249,9 +249,20 @@ HOME = "home"
 
 
 def keyframes(robot: desc.RobotDescription) -> Element:
-    """Return the ``<keyframe>`` element; a keyframe ``home`` of the robot file replaces the generated keyframe."""
+    """Return the ``<keyframe>`` element; a keyframe ``home`` of the robot file replaces the generated keyframe.
+
+    The generated keyframe is the saved state, with floating bases at their drawn poses.
+    """
     out = Element("keyframe")
-    positions, velocities = state(robot)
+    positions: list[float] = []
+    velocities: list[float] = []
+    for body in robot.bodies:
+        if body.floating:
+            positions += [*body.pose.position, *body.pose.rotation]
+            velocities += body.velocity
+        for dof in body.dofs:
+            positions += IDENTITY if dof.kind == "ball" else (dof.position,)
+            velocities += [0.0] * 3 if dof.kind == "ball" else [dof.velocity]
     drives = [dof.drive for dof in robot.dofs if dof.drive]
     targets = {"position": "target_position", "velocity": "target_velocity"}
     controls = [float(getattr(drive, targets[drive.kind])) if drive.kind in targets else 0.0 for drive in drives]
@@ -262,17 +273,3 @@ def keyframes(robot: desc.RobotDescription) -> Element:
     for item in robot.keyframes:
         out.add("key", item.extra, name=item.name)
     return out
-
-
-def state(robot: desc.RobotDescription) -> tuple[list[float], list[float]]:
-    """Return qpos and qvel: the saved state, with floating bases at their drawn poses."""
-    positions: list[float] = []
-    velocities: list[float] = []
-    for body in robot.bodies:
-        if body.floating:
-            positions += [*body.pose.position, *body.pose.rotation]
-            velocities += body.velocity
-        for dof in body.dofs:
-            positions += IDENTITY if dof.kind == "ball" else (dof.position,)
-            velocities += [0.0] * 3 if dof.kind == "ball" else [dof.velocity]
-    return positions, velocities

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from xml.sax.saxutils import quoteattr
 
-from wheelleg_exp.asset.robot_description import Actuator, Closure, Coupling, Dof, Drive, Geom, Pose, Quat, Site, Tendon
+from wheelleg_exp.asset.robot_description import Actuator, Closure, Coupling, Dof, Drive, Geom, Pose, Quat, Tendon
 
 Value = str | int | float | bool | Iterable[float] | None
 
@@ -149,11 +149,6 @@ def key(item: Closure | Coupling) -> str:
 def equality(item: Closure | Coupling) -> Attributes:
     """Return a MuJoCo equality constraint's MJCF attributes ``solref``, ``solimp``, and ``active``."""
     return given({k: v for k, v in item.extra.items() if k in ("solref", "solimp", "active")})
-
-
-def site(item: Site) -> Attributes:
-    """Return the MJCF attributes of a site's shape, size, and colour."""
-    return dict(item.extra)
 
 
 def geom(item: Geom, static: bool = False) -> Attributes:

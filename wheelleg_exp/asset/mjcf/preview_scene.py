@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import mujoco
@@ -11,7 +10,7 @@ import numpy as np
 from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings
 from wheelleg_exp.asset.mjcf.mjcf_document import HOME
 from wheelleg_exp.asset.mjcf.mjcf_elements import Element, Value
-from wheelleg_exp.asset.robot_description import RobotDescription
+from wheelleg_exp.asset.robot_description import Numbered, RobotDescription
 from wheelleg_exp.files import write_text
 
 SUFFIX, STAND = "_scene", "stand"
@@ -62,7 +61,6 @@ def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: flo
     root.add("statistic", center=tuple(_short(value) for value in alone.stat.center), extent=extent)
     visual = root.add("visual")
     visual.add("headlight", diffuse=(0.6, 0.6, 0.6), ambient=(0.3, 0.3, 0.3), specular=(0.0, 0.0, 0.0))
-    names = {geom.name for geom in robot.static_geoms}
     floors = [geom for geom in robot.static_geoms if geom.kind == "plane" and geom.collides]
     if not floors:
         asset = root.add("asset")
@@ -72,22 +70,17 @@ def _text(robot: RobotDescription, model: Path, alone: mujoco.MjModel, step: flo
     world.add("light", pos=(0.0, 0.0, _short(5 * extent)), dir=(0.0, 0.0, -1.0), type="directional")
     height, poses = _stands(alone)
     if not floors:
-        floor = next(name for name in _free("floor") if name not in names)
+        floor = Numbered(geom.name for geom in robot.static_geoms).take("floor")
         size = (0.0, 0.0, _short(max(0.01, extent / 10)))
         world.add("geom", name=floor, type="plane", size=size, pos=(0.0, 0.0, height), rgba=(0.5, 0.55, 0.6, 1.0))
     if poses is not None:
-        taken = {item.name for item in robot.keyframes} | {HOME}
-        key = next(name for name in _free(STAND) if name not in taken)
+        key = Numbered([HOME, *(item.name for item in robot.keyframes)]).take(STAND)
         root.add("keyframe").add("key", name=key, qpos=poses[0], ctrl=poses[1] if any(poses[1]) else None)
     return root.text() + "\n"
 
 
 def _short(value: float) -> float:
     return float(f"{round(float(value), 6):.4g}") + 0.0
-
-
-def _free(stem: str) -> itertools.chain[str]:
-    return itertools.chain([stem], (f"{stem}_{number}" for number in itertools.count(2)))
 
 
 def _stands(alone: mujoco.MjModel) -> tuple[float, tuple[list[float], list[float]] | None]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.asset.file_limits import FETCH, LARGEST_TEXT, MOST_POINTS, POINTER, require_plain_file
-from wheelleg_exp.asset.rigid_geometry import Array, apply
+from wheelleg_exp.asset.rigid_geometry import Array, apply, turned
 from wheelleg_exp.asset.urdf.urdf_document import PACKAGE, Document, Element, parse_xml
 from wheelleg_exp.asset.usd.gprims import triangles
 from wheelleg_exp.asset.usd.usd_stage import file_hash, relative_name
@@ -27,6 +27,7 @@ Faces = NDArray[np.int64]
 
 FACES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 MOST_PARTS = 500_000  # nodes of one file
+_NOTHING: tuple[Array, Faces] = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
 
 
 def read_dae(data: bytes) -> tuple[Array, Faces]:
@@ -45,7 +46,7 @@ def read_dae(data: bytes) -> tuple[Array, Faces]:
         if len(part[1]):
             parts.append(part)
     if not parts:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+        return _NOTHING
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + start for (_, faces), start in zip(parts, starts[:-1], strict=True)]
     return np.concatenate([vertices for vertices, _ in parts]) * file.unit, np.concatenate(faces)
@@ -55,8 +56,7 @@ class _File:
     def __init__(self, root: Element) -> None:
         self.root = root
         self._by_id = {e.attributes["id"]: e for e in root.walk() if "id" in e.attributes}
-        asset = root.first("asset")
-        unit = asset.first("unit") if asset else None
+        unit = root.first("asset", "unit")
         self._parts = 0
         self.unit = float(unit.attributes.get("meter", "1")) if unit else 1.0
 
@@ -67,8 +67,7 @@ class _File:
         return self._by_id[wanted.removeprefix("#")]
 
     def shown(self) -> list[tuple[Element, Array]]:
-        scene = self.root.first("scene")
-        instance = scene.first("instance_visual_scene") if scene else None
+        instance = self.root.first("scene", "instance_visual_scene")
         visual = self.target(instance, "url") if instance else None
         if visual is None:
             meshes = [element.first("mesh") for element in self.root.walk() if element.tag == "geometry"]
@@ -109,9 +108,7 @@ def _transform(element: Element) -> Array:
     elif element.tag == "rotate":
         x, y, z, degrees = _numbers(element)
         axis = np.array([x, y, z]) / (math.hypot(x, y, z) or 1.0)
-        cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-        angle = math.radians(degrees)
-        out[:3, :3] += math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+        out[:3, :3] = turned(axis, math.radians(degrees))
     return out
 
 
@@ -119,14 +116,13 @@ def _placed(file: _File, mesh: Element, matrix: Array) -> tuple[Array, Faces]:
     groups = [child for child in mesh.children if child.tag in FACES]
     vertices = mesh.first("vertices")
     if vertices is None or not groups:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+        return _NOTHING
     position = next((e for e in vertices.all("input") if e.attributes.get("semantic") == "POSITION"), None)
     if position is None:
         raise ValueError("vertices without positions")
     source = file.target(position, "source")
     array = source.first("float_array")
-    technique = source.first("technique_common")
-    accessor = technique.first("accessor") if technique else None
+    accessor = source.first("technique_common", "accessor")
     stride = int(accessor.attributes.get("stride", "3")) if accessor else 3
     if array is None or stride < 3:
         raise ValueError("vertices without positions")
@@ -141,26 +137,24 @@ def _faces(group: Element) -> Faces:
     stride = 1 + max((int(item.attributes.get("offset", "0")) for item in inputs), default=0)
     lists = [np.array(p.text.split(), dtype=np.int64)[offset::stride] for p in group.all("p")]
     if group.tag == "triangles":
-        return _joined([corners.reshape(-1, 3) for corners in lists])
-    if group.tag == "polylist":
+        parts = [corners.reshape(-1, 3) for corners in lists]
+    elif group.tag == "polylist":
         counts = group.first("vcount")
         sizes = np.array(counts.text.split() if counts else [], dtype=int)
         if any((sizes < 0).any() or (sizes > len(corners)).any() or sizes.sum() > len(corners) for corners in lists):
             raise ValueError("the sizes of a mesh's polygons do not match the number of polygon corners")
-        return _joined([triangles(sizes, corners) for corners in lists])
-    if group.tag == "tristrips":
-        return _joined([_strip(corners) for corners in lists])
-    return _joined([triangles(np.array([len(corners)]), corners) for corners in lists])
+        parts = [triangles(sizes, corners) for corners in lists]
+    elif group.tag == "tristrips":
+        parts = [_strip(corners) for corners in lists]
+    else:
+        parts = [triangles(np.array([len(corners)]), corners) for corners in lists]
+    return np.concatenate([np.zeros((0, 3), dtype=np.int64), *parts])
 
 
 def _strip(corners: Faces) -> Faces:
     faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
     faces[1::2] = faces[1::2, ::-1]
     return faces
-
-
-def _joined(parts: list[Faces]) -> Faces:
-    return np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
 
 
 Triangles = tuple[Array, NDArray[np.int64]]
@@ -259,8 +253,7 @@ class Files:
 
     def __post_init__(self) -> None:
         self.folder = self.document.source.resolve().parent
-        extension = self.document.root.first("mujoco")
-        compiler = extension.first("compiler") if extension else None
+        compiler = self.document.root.first("mujoco", "compiler")
         self.mesh_folder = self.document.text(compiler, "meshdir", "the search for mesh files") if compiler else None
         self._note(self.document.source)
 

@@ -37,9 +37,12 @@ class Element:
         """Return the XML element's children with the given tag."""
         return [child for child in self.children if child.tag == tag]
 
-    def first(self, tag: str) -> Element | None:
-        """Return the XML element's first child with the given tag; None if no child has the tag."""
-        return next((child for child in self.children if child.tag == tag), None)
+    def first(self, *tags: str) -> Element | None:
+        """Return the first child with the given tag, or None; several tags are a path from child to grandchild."""
+        found: Element | None = self
+        for tag in tags:
+            found = next((child for child in found.children if child.tag == tag), None) if found else None
+        return found
 
     def walk(self) -> Iterator[Element]:
         """Yield the XML element and all its descendants, depth first."""

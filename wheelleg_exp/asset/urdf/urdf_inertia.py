@@ -14,7 +14,7 @@ from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
 from wheelleg_exp.asset.urdf.urdf_document import Document
 from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
 from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
-from wheelleg_exp.asset.usd.gprims import Shape
+from wheelleg_exp.asset.usd.gprims import Shape, solid_of
 
 NOISE = 1e-6  # A URDF link's inertia counts as missing if its radius of gyration is below 1e-6 m.
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -83,7 +83,7 @@ def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) ->
 
 
 def _weights(colliders: list[Shape]) -> list[geometry.Part]:
-    solids = [solid for shape in colliders if (solid := _solid(shape)) is not None]
+    solids = [solid for shape in colliders if (solid := solid_of(shape)) is not None]
     return [geometry.Part.of(solid, geometry.WATER * solid.volume) for solid in solids]
 
 
@@ -99,8 +99,7 @@ def _by_volume(document: Document, link: Link, colliders: list[Shape]) -> geomet
 
 def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | None:
     """Return a link's inertia tensor in its ``<inertial>`` frame; None if the tensor is missing or almost zero."""
-    inertial = link.element.first("inertial")
-    element = inertial.first("inertia") if inertial else None
+    element = link.element.first("inertial", "inertia")
     if element is None:
         return None
     values = [document.number(element, name, "inertial diaginertia and quat") or 0.0 for name in TENSOR]
@@ -120,17 +119,6 @@ def _bare(document: Document, link: Link, mass: float, center: geometry.Array) -
     rule = "no inertia and no collider: a sphere of 0.1 m, as PhysX"
     document.ledger.assume(link.element.path, rule, f"{mass:g} kg")
     return geometry.Part(mass, center, np.eye(3) * 0.4 * mass * geometry.BARE_RADIUS**2)
-
-
-def _solid(shape: Shape) -> geometry.Solid | None:
-    try:
-        if shape.vertices is None:
-            solid = geometry.primitive(shape.kind, shape.size)
-        else:
-            solid = geometry.mesh_solid(shape.vertices, shape.faces, "convex")
-    except ValueError:
-        return None
-    return solid.seen_from(shape.frame) if solid.volume > 0 else None
 
 
 def _inertial(document: Document, link: Link, part: geometry.Part) -> Inertial:

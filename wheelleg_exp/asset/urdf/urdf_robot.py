@@ -6,7 +6,7 @@ The converter interprets joint limits and mimic joints as the URDF specification
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from wheelleg_exp.asset.urdf.mesh_files import Files
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element, audit, open_document
 from wheelleg_exp.asset.urdf.urdf_inertia import inertials
 from wheelleg_exp.asset.urdf.urdf_shapes import Shapes
-from wheelleg_exp.asset.urdf.urdf_tree import Axis, Joint, Link, Seen, Tree, read_links, read_tree
+from wheelleg_exp.asset.urdf.urdf_tree import WORLD, Joint, Link, Seen, Tree, read_link, read_tree
 from wheelleg_exp.asset.usd.usd_stage import HUGE, effort_limit, endless
 from wheelleg_exp.errors import nearest_name
 
@@ -39,31 +39,26 @@ def dofs_of(document: Document, joint: Joint, seen: Seen) -> tuple[desc.Dof, ...
     suffixes = PLANAR if joint.kind == "planar" else ("",)
     if not axes:
         return ()
-    element = joint.element.first("limit")
-    if joint.kind in ("planar", "spherical"):
-        limits = _Limits()  # reported by the audit
-    elif element is None:
-        limits = _Limits(_range(document, joint, None))
-    else:
-        limits = _Limits(
-            _range(document, joint, element), _effort(document, joint, element), _velocity(document, joint, element)
+    reach = effort = velocity = None
+    if joint.kind not in ("planar", "spherical"):  # The audit reports the limits of planar and spherical joints.
+        element = joint.element.first("limit")
+        reach = _range(document, joint, element)
+        if element is not None:
+            effort, velocity = _effort(document, joint, element), _velocity(document, joint, element)
+    return tuple(
+        desc.Dof(
+            name=joint.name + suffix,
+            path=joint.element.path,
+            kind=axis.kind,
+            axis=_direction(document, joint, axis.axis),
+            anchor=(0.0, 0.0, 0.0),
+            range=reach,
+            damping=axis.damping,
+            frictionloss=axis.friction,
+            max_velocity=velocity,
+            force_range=effort,
         )
-    return tuple(_dof(document, joint, axis, suffix, limits) for axis, suffix in zip(axes, suffixes, strict=True))
-
-
-def _dof(document: Document, joint: Joint, axis: Axis, suffix: str, limits: _Limits) -> desc.Dof:
-    own = not suffix
-    return desc.Dof(
-        name=joint.name + suffix,
-        path=joint.element.path,
-        kind=axis.kind,
-        axis=_direction(document, joint, axis.axis),
-        anchor=(0.0, 0.0, 0.0),
-        range=limits.range if own else None,
-        damping=axis.damping,
-        frictionloss=axis.friction,
-        max_velocity=limits.velocity if own else None,
-        force_range=limits.effort if own else None,
+        for axis, suffix in zip(axes, suffixes, strict=True)
     )
 
 
@@ -74,15 +69,6 @@ def _direction(document: Document, joint: Joint, axis: desc.Vec3) -> desc.Vec3:
     document.ledger.assume(joint.element.path, "the axis is not of unit length: its direction", f"length {length:.6g}")
     x, y, z = (value / length for value in axis)
     return x, y, z
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """A joint's ``<limit>``: range in rad or m, effort in N·m or N, velocity in rad/s or m/s; None: no limit."""
-
-    range: Range | None = None
-    effort: Range | None = None
-    velocity: float | None = None
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
@@ -183,8 +169,7 @@ def _coupling(
         if leader not in tree.joints:
             nearest = nearest_name(leader, tree.joints)
             reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
-        document.ledger.leave(element.path, "joint", reason, leader)
-        document.ledger.warn(f"{element.path}: the coupling was left out: {reason}")
+        document.ledger.leave_and_warn(element.path, "joint", reason, "the coupling", leader)
         return None
     numbers = (offset or 0.0, 1.0 if multiplier is None else multiplier, 0.0, 0.0, 0.0)
     return desc.Coupling(f"{joint.name}_coupling", element.path, dofs[joint.name].name, dofs[leader].name, numbers)
@@ -228,20 +213,16 @@ class _Builder:
     def __init__(self, document: Document, base: desc.BaseMode) -> None:
         self.document, self.base = document, base
         self.tree: Tree = read_tree(document)
-        self.seen: dict[str, Seen] = read_links(document, self.tree)
+        self.seen: dict[str, Seen] = {name: read_link(document, link) for name, link in self.tree.links.items()}
         self.files = Files(document)
         self.shapes = Shapes(document, self.tree, self.seen, self.files)
-        tree = self.tree
-        names = {name: name for name in tree.links}
-        for name in desc.RESERVED & set(names):
-            if tree.world is not None and tree.world.name == name:
-                continue
-            free = f"{name}_link"
-            while free in names:
+        self.names = {name: name for name in self.tree.links}
+        if WORLD in self.names and self.tree.world is None:
+            free = f"{WORLD}_link"
+            while free in self.names:
                 free += "_"
-            names[name] = free
-            document.ledger.assume(tree.links[name].element.path, f"MuJoCo keeps the name '{name}'", free)
-        self.names = names
+            self.names[WORLD] = free
+            document.ledger.assume(self.tree.links[WORLD].element.path, f"MuJoCo keeps the name '{WORLD}'", free)
         joints = self.tree.joints.values()
         self.dofs = {joint.name: dofs_of(document, joint, self.seen[joint.child.name]) for joint in joints}
 
@@ -254,21 +235,12 @@ class _Builder:
             document.fail(tree.root.element, "the file contains only the world", "a robot")
         # Sort the bodies by body tree, because a link on a floating URDF joint is the root of a separate body tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
-        children: dict[str | None, list[desc.Body]] = {}
-        for body in bodies:
-            children.setdefault(body.parent, []).append(body)
-        out: list[desc.Body] = []
-        stack = list(reversed(children.get(None, [])))
-        while stack:
-            body = stack.pop()
-            out.append(body)
-            stack.extend(reversed(children.get(body.name, [])))
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
         joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
         joined = [j for j in tree.joints.values() if j.parent is not tree.world and j.kind != "floating"]
         robot = desc.RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
-            bodies=tuple(out),
+            bodies=desc.depth_first(bodies, attrgetter("name"), attrgetter("parent")),
             gravity=(0.0, 0.0, -EARTH),
             static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
             exclusions=tuple((self.names[j.parent.name], self.names[j.child.name]) for j in joined),

@@ -14,7 +14,7 @@ from wheelleg_exp.asset.robot_description import Geom, Material, Mesh, Numbered,
 from wheelleg_exp.asset.urdf.mesh_files import Files, Triangles, read_mesh, reader_of
 from wheelleg_exp.asset.urdf.urdf_document import Document, Element
 from wheelleg_exp.asset.urdf.urdf_tree import Placed, Seen, Tree
-from wheelleg_exp.asset.usd.gprims import SMALLEST_AREA, Shape, flat_to_box
+from wheelleg_exp.asset.usd.gprims import SMALLEST_AREA, Shape, area, flat_to_box
 from wheelleg_exp.errors import AssetError
 
 
@@ -129,7 +129,7 @@ class Shapes:
                 return None
             return Shape(KINDS[placed.kind], placed.size, frame)
         geometry = placed.element.first("geometry")
-        mesh = geometry.first("mesh") if geometry else None
+        mesh = placed.element.first("geometry", "mesh")
         if mesh is not None:
             name = self.document.text(mesh, "filename", "mesh file") or ""
             scale = self.document.numbers(mesh, "scale", 3, "the mesh's points") or (1.0, 1.0, 1.0)
@@ -151,8 +151,7 @@ class Shapes:
             require_near(vertices, key=mesh.path, where=self._where)
             if np.prod(scale) < 0:
                 faces = faces[:, ::-1]
-            a, b, c = (vertices[faces[:, i]] for i in range(3))
-            if (float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2) < SMALLEST_AREA:
+            if area(vertices, faces) < SMALLEST_AREA:
                 self._left(placed, f"mesh '{name}': it has no surface")
                 return None
             if len(vertices) == 3:  # MuJoCo needs four points

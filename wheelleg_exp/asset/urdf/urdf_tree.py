@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -169,19 +168,16 @@ class Seen:
     shapes: tuple[Placed, ...]
 
 
-def read_links(document: Document, tree: Tree) -> dict[str, Seen]:
-    """Return the pose, mass, joint axes, and shapes of each link, by the link's name."""
-    return {name: _seen(document, link) for name, link in tree.links.items()}
-
-
-def _seen(document: Document, link: Link) -> Seen:
+def read_link(document: Document, link: Link) -> Seen:
+    """Return the pose, mass, joint axes, and shapes of a link."""
+    shapes = [child for child in link.element.children if child.tag in ("visual", "collision")]
     joint, inertial = link.joint, link.element.first("inertial")
     return Seen(
         pose=_origin(document, joint.element, "body pos and quat") if joint else Pose(),
         mass=_positive(document, inertial.first("mass"), "value", "inertial mass") if inertial else 0.0,
         inertia_frame=Frame.of(_origin(document, inertial, "inertial pos and quat") if inertial else Pose()),
         axes=_axes(document, joint) if joint else (),
-        shapes=tuple(_placed(document, element) for element in shapes_of(link)),
+        shapes=tuple(_placed(document, element) for element in shapes),
     )
 
 
@@ -192,15 +188,10 @@ def _origin(document: Document, element: Element, became: str) -> Pose:
         return Pose()
     x, y, z = document.numbers(origin, "xyz", 3, became) or (0.0, 0.0, 0.0)
     angles = document.numbers(origin, "rpy", 3, became) or (0.0, 0.0, 0.0)
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle / 2), math.sin(angle / 2)) for angle in angles)
-    quat = (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
+    quat = np.zeros(4)
+    mujoco.mju_euler2Quat(quat, angles, "XYZ")
     sign = -1.0 if quat[0] < 0 else 1.0
-    w, i, j, k = (round(sign * value, DIGITS) + 0.0 for value in quat)
+    w, i, j, k = (round(sign * value, DIGITS) + 0.0 for value in quat.tolist())
     return Pose((x + 0.0, y + 0.0, z + 0.0), (w, i, j, k))
 
 
@@ -209,11 +200,6 @@ def _positive(document: Document, element: Element | None, name: str, became: st
     if element is not None and value < 0:
         document.fail(element, f"'{name}' is {value:g}", "a number that is not negative")
     return value
-
-
-def shapes_of(link: Link) -> list[Element]:
-    """Return a link's visual and collision elements, in the order of the URDF."""
-    return [child for child in link.element.children if child.tag in ("visual", "collision")]
 
 
 def _placed(document: Document, element: Element) -> Placed:

@@ -136,18 +136,14 @@ LONGEST = 200  # characters of a value
 def audit(stage: Stage) -> None:
     """Record every authored physics property, applied schema, and prim that the converter has not read."""
     for prim in {p.GetPath(): p for p in (*stage.prims, *stage.physics_scenes, *_materials(stage))}.values():
-        kind = str(prim.GetTypeName())
-        reason = why_kind(kind)
-        if reason and not stage.ledger.knows(path := prim.GetPath(), kind):
-            stage.ledger.leave(path, kind, reason.text)
-            if reason.loud:
-                stage.ledger.warn(f"{path}: a {kind} was left out: {reason.text}")
-        for name in schemas(prim):
-            reason = why_schema(name)
-            if reason and not stage.ledger.knows(path := prim.GetPath(), name):
-                stage.ledger.leave(path, name, reason.text)
+        path, kind = prim.GetPath(), str(prim.GetTypeName())
+        reasons = [(kind, f"a {kind}", why_kind(kind)), *((name, name, why_schema(name)) for name in schemas(prim))]
+        for name, shown, reason in reasons:
+            if reason and not stage.ledger.knows(path, name):
                 if reason.loud:
-                    stage.ledger.warn(f"{path}: {name} was left out: {reason.text}")
+                    stage.ledger.leave_and_warn(path, name, reason.text, shown)
+                else:
+                    stage.ledger.leave(path, name, reason.text)
         if prim.GetTypeName() == "Shader":
             for attribute in prim.GetAuthoredPropertyNames():
                 value = prim.GetAttribute(attribute).Get() if attribute.startswith(("inputs:", "info:mdl")) else None

@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdGeom
 
 from wheelleg_exp.asset.file_limits import MOST_POINTS, MOST_SHAPES, require_near, require_size
 from wheelleg_exp.asset.rigid_geometry import Frame
-from wheelleg_exp.asset.robot_description import Extra, Site, unique_names
-from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
+from wheelleg_exp.asset.robot_description import Extra, Site
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, named
 from wheelleg_exp.asset.usd.gprims import Shape, bounding_box, bounding_sphere, flat_to_box, plane_as_box, shape_of
 from wheelleg_exp.asset.usd.materials import display_color
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
@@ -46,12 +46,6 @@ def world_sites(stage: Stage, links: Links) -> list[Site]:
     """Return the sites of the USD stage that belong to no body."""
     sites = named([prim for prim in stage.prims if is_site(prim)])
     return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
-
-
-def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
-    """Return prims with unique names."""
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    return [(prim, names[str(prim.GetPath())]) for prim in prims]
 
 
 def _site(stage: Stage, prim: Usd.Prim, name: str, link: Link | None) -> Site:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom
 
-from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, Solid, cone, primitive, rounded, split_scale
+from wheelleg_exp.asset import rigid_geometry as geometry
+from wheelleg_exp.asset.rigid_geometry import Z_TO_AXIS, Array, Frame, MeshVolume, Solid
 from wheelleg_exp.asset.robot_description import ShapeKind
 from wheelleg_exp.asset.usd.ledger import number_of, plain
 
@@ -49,7 +50,7 @@ def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
     make = _MAKERS.get(str(prim.GetTypeName()))
     if make is None:
         return None
-    rotation, stretch = split_scale(matrix[:3, :3])
+    rotation, stretch = geometry.split_scale(matrix[:3, :3])
     return make(prim, _Placing(rotation, stretch, matrix[:3, 3].copy()))
 
 
@@ -73,7 +74,7 @@ Maker = Callable[[Usd.Prim, _Placing], "Shape | None"]
 
 
 def _clean(*sizes: float) -> tuple[float, ...]:
-    return tuple(rounded(float(size)) for size in sizes)
+    return tuple(geometry.rounded(float(size)) for size in sizes)
 
 
 def _axis(prim: Usd.Prim) -> tuple[str, str]:
@@ -99,7 +100,7 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
         return Shape("ellipsoid", _clean(*(radius * np.abs(values))), at.frame(axes), note="scaled unevenly: ellipsoid")
     if np.ptp(at.scale) <= 1e-6 * at.scale.max():
         return Shape("sphere", _clean(radius * at.scale[0]), at.frame())
-    weight = primitive("sphere", (radius * float(at.scale.max()),))
+    weight = geometry.primitive("sphere", (radius * float(at.scale.max()),))
     note = "scaled unevenly: ellipsoid, weighed as the sphere around it as in PhysX"
     return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
 
@@ -167,7 +168,7 @@ def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
 
 def plane_as_box(prim: Usd.Prim, matrix: Array) -> Shape:
     """Return a drawn plane as a thin box, for bodies that move: MuJoCo's planes are static."""
-    rotation, stretch = split_scale(matrix[:3, :3])
+    rotation, stretch = geometry.split_scale(matrix[:3, :3])
     along = "XYZ".index(_axis(prim)[0])
     sides = {0: (2, 1), 1: (0, 2), 2: (0, 1)}[along]  # UsdGeomPlane's width and length
     half = np.full(3, THIN / 2)
@@ -192,7 +193,7 @@ def _mesh(prim: Usd.Prim, at: _Placing) -> Shape | None:
         points = np.vstack([points, points.mean(axis=0)])
     with np.errstate(all="ignore"):
         vertices = points @ at.stretch.T
-    if len(faces) and _area(vertices, faces) < SMALLEST_AREA:
+    if len(faces) and area(vertices, faces) < SMALLEST_AREA:
         return None
     # Left-handed orientation and mirroring each reverse the triangles of a mesh; together, they cancel out.
     flipped = (mesh.GetOrientationAttr().Get() == "leftHanded") != (np.linalg.det(at.stretch) < 0)
@@ -212,7 +213,8 @@ def _integers(value: object) -> NDArray[np.int64] | None:
     return None if array.ndim != 1 or (array.size and array.dtype.kind not in "iu") else array.astype(np.int64)
 
 
-def _area(vertices: Array, faces: NDArray[np.int64]) -> float:
+def area(vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Return the area of a mesh with the given points (n, 3) and triangles (k, 3)."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     with np.errstate(all="ignore"):
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
@@ -238,7 +240,7 @@ def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, hal
         return hull
     along = "XYZ".index(axis)
     size = radius * float(np.delete(at.scale, along).max()), half * float(at.scale[along])
-    solid = cone(*size) if kind == "cone" else primitive(kind, size)
+    solid = geometry.cone(*size) if kind == "cone" else geometry.primitive(kind, size)
     mirrored = -1.0 if np.trace(at.stretch) < 0 else 1.0
     return replace(hull, weight=solid.seen_from(Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
 
@@ -258,6 +260,25 @@ _MAKERS: dict[str, Maker] = {
 }
 
 
+def solid_of(shape: Shape, volume: MeshVolume = "convex") -> Solid | None:
+    """Return the solid of a shape, in the frame of the shape's body; None if the shape has no volume.
+
+    ``volume`` is the volume mode of a mesh, a value of the MJCF mesh attribute ``inertia``.
+    """
+    if shape.kind == "plane":
+        return None
+    try:
+        if shape.weight is not None:
+            solid = shape.weight
+        elif shape.vertices is None:
+            solid = geometry.primitive(shape.kind, shape.size)
+        else:
+            solid = geometry.mesh_solid(shape.vertices, shape.faces, volume)
+    except ValueError:
+        return None
+    return solid.seen_from(shape.frame) if solid.volume > 0 else None
+
+
 def bounding_box(shape: Shape) -> Shape:
     """Return the bounding box of a mesh, along the mesh's axes."""
     assert shape.vertices is not None
@@ -274,7 +295,7 @@ def bounding_sphere(shape: Shape) -> Shape:
     return Shape("sphere", _clean(radius), shape.frame @ Frame(np.eye(3), middle), note="sphere around the mesh")
 
 
-def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
+def flat_to_box(shape: Shape) -> Shape:
     """Return a thin box for a mesh whose points are in one plane, else the shape itself."""
     assert shape.vertices is not None
     middle = shape.vertices.mean(axis=0)
@@ -285,7 +306,7 @@ def flat_to_box(shape: Shape, thickness: float = THIN) -> Shape:
     local = (shape.vertices - middle) @ axes.T
     low, high = local.min(axis=0), local.max(axis=0)
     half = (high - low) / 2
-    half[2] = thickness / 2
+    half[2] = THIN / 2
     center = (low + high) / 2
     frame = shape.frame @ Frame(axes.T, middle + axes.T @ center)
     return Shape("box", _clean(*half), frame, note="flat: a thin box")

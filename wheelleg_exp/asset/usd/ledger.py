@@ -210,6 +210,11 @@ class Ledger:
         self._left_names.add((str(path), name))
         self._left.setdefault((name, reason), {})[str(path)] = str(value)
 
+    def leave_and_warn(self, path: object, name: str, reason: str, what: str, value: object = "") -> None:
+        """Record that the MJCF omits the attribute or element ``name``; ``what`` names it in a warning to the user."""
+        self.leave(path, name, reason, value)
+        self.warn(f"{path}: {what} was left out: {reason}")
+
     def warn(self, text: str) -> None:
         """Record a warning, unless a warning with the same text is already recorded."""
         self._warnings[text] = None

@@ -245,10 +245,9 @@ def _scaled(inertial: desc.Inertial, factor: float) -> desc.Inertial:
 
 def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot description completed with all data of MuJoCo's USD schemas."""
-    known = [*robot.static_sites, *(site for body in robot.bodies for site in body.sites)]
-    robot = replace(robot, static_sites=(*robot.static_sites, *distinct(known, world_sites(stage, links))))
+    robot = replace(robot, static_sites=(*robot.static_sites, *distinct(robot.sites, world_sites(stage, links))))
     robot = mjc.with_wraps(stage, links, robot)
-    hulls = {g.mesh: found for g in _all_geoms(robot) if g.mesh and (found := hull_size(stage, g))}
+    hulls = {g.mesh: found for g in robot.geoms if g.mesh and (found := hull_size(stage, g))}
     robot = replace(
         robot,
         bodies=tuple(with_body_extra(stage, body) for body in robot.bodies),
@@ -258,9 +257,8 @@ def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> des
     )
     dofs = single_dofs(robot)
     names = {path: dof.name for path, dof in dofs.items()}
-    sites = {site.path: site.name for body in robot.bodies for site in body.sites}
-    sites |= {site.path: site.name for site in robot.static_sites}
-    shapes = {geom.path: geom.name for geom in _all_geoms(robot)}
+    sites = {site.path: site.name for site in robot.sites}
+    shapes = {geom.path: geom.name for geom in robot.geoms}
     tendons = distinct(robot.tendons, mjc.read_tendons(stage, names, sites, shapes))
     ranged = {dof.name for dof in robot.dofs if dof.range} | {t.name for t in (*robot.tendons, *tendons) if t.range}
     targets = mjc.Targets(
@@ -307,7 +305,3 @@ def single_dofs(robot: desc.RobotDescription) -> dict[str, desc.Dof]:
     for dof in robot.dofs:
         found[dof.path] = None if dof.path in found else dof
     return {path: dof for path, dof in found.items() if dof is not None}
-
-
-def _all_geoms(robot: desc.RobotDescription) -> list[desc.Geom]:
-    return [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]

@@ -15,8 +15,8 @@ import numpy as np
 from pxr import Usd
 
 from wheelleg_exp.asset import robot_description as desc
-from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
-from wheelleg_exp.asset.usd.colliders import is_site, named
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links, named
+from wheelleg_exp.asset.usd.colliders import is_site
 from wheelleg_exp.asset.usd.gprims import shape_of
 from wheelleg_exp.asset.usd.usd_stage import Stage
 
@@ -67,8 +67,7 @@ def _fits(stage: Stage, prim: Usd.Prim, name: str, became: str, value: Attribute
         reason = f"MuJoCo's {became} is one of {', '.join(sorted(WORDS[became]))}"
     else:
         return True
-    stage.ledger.leave(prim.GetPath(), name, reason, value)
-    stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason}")
+    stage.ledger.leave_and_warn(prim.GetPath(), name, reason, name, value)
     return False
 
 
@@ -139,28 +138,30 @@ class Targets:
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
     """Return the USD stage's actuators, except those whose joint, tendon, site, or body the MJCF lacks."""
-    prims = named([prim for prim in stage.prims if prim.GetTypeName() == ACTUATOR])
-    found = (_actuator(stage, prim, name, targets) for prim, name in prims)
+    found = (_actuator(stage, prim, name, targets) for prim, name in named(stage.of_type(ACTUATOR)))
     return tuple(actuator for actuator in found if actuator is not None)
 
 
 def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc.Actuator | None:
+    def leave_out(reason: str) -> None:
+        stage.ledger.leave_and_warn(prim.GetPath(), ACTUATOR, reason, "this actuator")
+
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
     target = targets.find(paths[0]) if paths else None
     if target is None:
-        _leave_actuator(stage, prim, "its target is not in the model")
+        leave_out("its target is not in the model")
         return None
     kinds = {key: stage.ledger.read(prim, f"mjc:{key}", key.lower()) for key in TYPES}
     strange = [f"{key} {kind}" for key, kind in kinds.items() if kind is not None and kind not in TYPES[key]]
     if strange:
-        _leave_actuator(stage, prim, f"MuJoCo has no {', '.join(strange)}")
+        leave_out(f"MuJoCo has no {', '.join(strange)}")
         return None
     transmission, name_of_target = target
     extra: dict[str, Attribute] = {}
     if transmission == "site":
         sites = _sites(stage, prim, targets)
         if sites is None:
-            _leave_actuator(stage, prim, "a site that it names is not in the model")
+            leave_out("a site that it names is not in the model")
             return None
         extra |= sites
         transmission = "cranksite" if "slidersite" in sites else "site"
@@ -186,11 +187,6 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc
     return desc.Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
 
 
-def _leave_actuator(stage: Stage, prim: Usd.Prim, reason: str) -> None:
-    stage.ledger.leave(prim.GetPath(), ACTUATOR, reason)
-    stage.ledger.warn(f"{prim.GetPath()}: this actuator was left out: {reason}")
-
-
 def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribute] | None:
     found: dict[str, Attribute] = {}
     for name, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
@@ -209,14 +205,9 @@ DRAWN = {"mjc:width": "width", "mjc:rgba": "rgba"}
 OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:indices")
 
 
-def tendon_prims(stage: Stage) -> list[Usd.Prim]:
-    """Return the MjcTendon prims of the stage."""
-    return [prim for prim in stage.prims if prim.GetTypeName() == TENDON]
-
-
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
     """Return the USD stage's tendons, except those with a site, geom, or joint that the MJCF lacks."""
-    found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(tendon_prims(stage)))
+    found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(stage.of_type(TENDON)))
     return tuple(tendon for tendon in found if tendon is not None)
 
 
@@ -226,8 +217,7 @@ def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names
         factors = _factors(stage, prim, joints) if fixed else ()
         points = () if fixed else _points(stage, prim, sites, geoms)
     except _BrokenPath as error:
-        stage.ledger.leave(prim.GetPath(), TENDON, str(error))
-        stage.ledger.warn(f"{prim.GetPath()}: this tendon was left out: {error}")
+        stage.ledger.leave_and_warn(prim.GetPath(), TENDON, str(error), "this tendon")
         return None
     extra = attributes(stage, prim, TENDON_ATTRIBUTES | ({} if fixed else DRAWN))
     for other in OF_SPATIAL if fixed else ("mjc:path:coef",):
@@ -299,16 +289,15 @@ WRAPPED = {"sphere", "cylinder"}
 
 def with_wraps(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Add a geom for each sphere or cylinder that a tendon wraps around, unless the robot already has this geom."""
-    known = {g.path for g in robot.static_geoms} | {g.path for body in robot.bodies for g in body.geoms}
+    known = {geom.path for geom in robot.geoms}
     found: dict[str, Usd.Prim] = {}
-    for tendon in tendon_prims(stage):
+    for tendon in stage.of_type(TENDON):
         for target in stage.ledger.targets(tendon, "mjc:path"):
             wrapped = stage.usd.GetPrimAtPath(target)
             if wrapped and not is_site(wrapped):
                 found[str(target)] = wrapped
     prims = named([prim for prim in found.values() if str(prim.GetPath()) not in known])
-    geoms = [*robot.static_geoms, *(geom for body in robot.bodies for geom in body.geoms)]
-    taken = desc.Numbered(geom.name for geom in geoms)
+    taken = desc.Numbered(geom.name for geom in robot.geoms)
     added: dict[str | None, list[desc.Geom]] = {}
     for prim, own_name in prims:
         link = links.owner(prim.GetPath())
@@ -333,8 +322,7 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
     """Return the keyframes whose arrays fit the robot's numbers of coordinates, velocities, and controls."""
-    prims = named([prim for prim in stage.prims if prim.GetTypeName() == KEYFRAME])
-    found = (_keyframe(stage, prim, name, robot) for prim, name in prims)
+    found = (_keyframe(stage, prim, name, robot) for prim, name in named(stage.of_type(KEYFRAME)))
     return tuple(keyframe for keyframe in found if keyframe is not None)
 
 
@@ -362,8 +350,7 @@ def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescript
         value = extra.get(key)
         if isinstance(value, tuple) and len(value) != count:
             reason = f"its {key} has {len(value)} numbers, the model {count}"
-            stage.ledger.leave(prim.GetPath(), KEYFRAME, reason)
-            stage.ledger.warn(f"{prim.GetPath()}: this keyframe was left out: {reason}")
+            stage.ledger.leave_and_warn(prim.GetPath(), KEYFRAME, reason, "this keyframe")
             return None
     stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
     return desc.Keyframe(name, str(prim.GetPath()), extra)

@@ -26,10 +26,13 @@ SMALLEST_VOLUME = 1e-13  # m³
 
 
 class Geoms:
-    """Convert the shapes of a USD stage to MuJoCo geoms, grouped by body."""
+    """Convert the shapes of a USD stage to MuJoCo geoms, grouped by body.
 
-    def __init__(self, stage: Stage, pieces: list[Piece]) -> None:
-        self.stage, self.looks = stage, Looks(stage)
+    ``bits`` maps the prim paths of shapes to the collision bits of their geoms.
+    """
+
+    def __init__(self, stage: Stage, pieces: list[Piece], bits: Mapping[str, Extra]) -> None:
+        self.stage, self.looks, self.bits = stage, Looks(stage), bits
         self.pieces: dict[str | None, list[Piece]] = {}
         for piece in pieces:
             self.pieces.setdefault(piece.link.path if piece.link else None, []).append(piece)
@@ -81,6 +84,7 @@ class Geoms:
             material=self.materials[material].name if material else None,
             rgba=rgba,
             friction=friction_of(self.stage, piece.prim) if piece.collides else None,
+            extra=self.bits.get(path, {}),
         )
 
     def _mesh(self, name: str, shape: Shape, collides: bool) -> str:
@@ -183,16 +187,15 @@ def read_filters(
     classes = rules.classes(solid)
     forbidden = rules.forbidden(classes)
     whole, partly = _body_pairs(solid, classes, forbidden)
-    if not partly and len(whole) <= MANY:
-        pairs |= {_ordered(order, a, b): None for a, b in whole}
-        return Filters(tuple(pairs), {})
-    if len({a for a, _ in forbidden}) > BITS - 1:
-        stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
+    excludes_suffice = not partly and len(whole) <= MANY
+    apart = sorted({a for a, _ in forbidden})
+    if excludes_suffice or len(apart) > BITS - 1:
+        if not excludes_suffice:
+            stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
         return Filters(tuple(pairs), {})
     # In MuJoCo's contype, bit 0 is for unfiltered shapes; shapes with equal USD collision filters share a bit.
     self_collision = quiet is not None
-    apart = sorted({a for a, _ in forbidden})
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
     everybody = 1 | sum(bit.values())
     out: dict[str, Extra] = {}

@@ -104,11 +104,6 @@ class Missing:
         inside = (any(_LOOKS.search(path.name) for path in prim.GetPrefixes()) for prim in self.prims)
         return bool(_NO_LAYER.search(self.name)) or all(inside)
 
-    @property
-    def prim(self) -> Sdf.Path:
-        """The first of the prims that refer to the missing USD layer or prim."""
-        return self.prims[0]
-
 
 def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
     """Return the layers and prims that USD composition could not find, without duplicates."""
@@ -122,10 +117,9 @@ def find_missing(usd: Usd.Stage, source: Path) -> list[Missing]:
         name = f"a cycle of layers or references at {prim}" if "ycle" in line else line[:200]
         name = target.group(1) if target else name
         name = file.group(1).removeprefix(f"{source.resolve().parent}/") if file else name
-        item = Missing(name, (prim,), line, is_file=bool(file))
-        known = found.setdefault(item.name, item)
-        if item.prim not in known.prims:
-            found[item.name] = replace(known, prims=(*known.prims, item.prim))
+        known = found.setdefault(name, Missing(name, (prim,), line, is_file=bool(file)))
+        if prim not in known.prims:
+            found[name] = replace(known, prims=(*known.prims, prim))
     return list(found.values())
 
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pxr import Usd
 
 from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.conversion_report import Report
-from wheelleg_exp.asset.report_writer import summarise
+from wheelleg_exp.asset.report_writer import report_of
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.asset.usd.audit import audit
 from wheelleg_exp.asset.usd.bodies.body_tree import Node, build_tree, read_closures
@@ -26,14 +26,16 @@ from wheelleg_exp.asset.usd.bodies.rigid_bodies import find_links, velocity_of
 from wheelleg_exp.asset.usd.bodies.roots import Graph
 from wheelleg_exp.asset.usd.colliders import find_pieces, find_sites
 from wheelleg_exp.asset.usd.joints.articulate import dofs_of
-from wheelleg_exp.asset.usd.joints.joint_couplings import Ropes, read_mimics, read_ropes
+from wheelleg_exp.asset.usd.joints.joint_couplings import read_mimics, read_ropes
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, read_joints
 from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
-from wheelleg_exp.asset.usd.usd_geoms import Filters, Geoms, quiet_parts, read_filters
+from wheelleg_exp.asset.usd.usd_geoms import Geoms, quiet_parts, read_filters
 from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
 HALF_STEP = 2.0**-25
 MOST_DIGITS = 9
+_OF_DRIVES = "stiffness damping effort target_position target_velocity"
+Part = TypeVar("Part", desc.Dof, desc.Drive)
 
 
 def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
@@ -74,26 +76,19 @@ def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
     return replace(
-        dof,
+        _singles(dof, "position velocity max_velocity"),
         axis=_short_vector(dof.axis),
         anchor=_short_vector(dof.anchor),
         range=None if dof.range is None else (single(dof.range[0]), single(dof.range[1])),
-        position=single(dof.position),
-        velocity=single(dof.velocity),
-        max_velocity=None if dof.max_velocity is None else single(dof.max_velocity),
-        drive=None if dof.drive is None else _short_drive(dof.drive),
+        drive=None if dof.drive is None else _singles(dof.drive, _OF_DRIVES),
     )
 
 
-def _short_drive(drive: desc.Drive) -> desc.Drive:
-    return replace(
-        drive,
-        stiffness=single(drive.stiffness),
-        damping=single(drive.damping),
-        effort=None if drive.effort is None else single(drive.effort),
-        target_position=single(drive.target_position),
-        target_velocity=single(drive.target_velocity),
-    )
+def _singles(part: Part, names: str) -> Part:
+    """Return a joint or drive whose fields ``names`` have the shortest decimals of single precision."""
+    numbers = {name: getattr(part, name) for name in names.split()}
+    short: dict[str, Any] = {name: single(value) for name, value in numbers.items() if value is not None}
+    return replace(part, **short)
 
 
 def _short_geom(geom: desc.Geom) -> desc.Geom:
@@ -122,8 +117,18 @@ def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> 
     """Read the robot of a USD file, and make the conversion report."""
     with library(source):
         stage = open_stage(source, variants)
-        robot = describe(stage, base)
-        return robot, summarise(stage, robot)
+        robot, units = describe(stage, base), stage.units
+        report = report_of(
+            robot,
+            stage.ledger,
+            source=source.name,
+            root=str(stage.root.GetPath()),
+            stage={"metersPerUnit": units.meters, "kilogramsPerUnit": units.kilograms, "upAxis": str(units.up)},
+            variants=stage.variants,
+            unresolved=stage.unresolved,
+            layers=stage.layers,
+        )
+        return robot, report
 
 
 def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
@@ -137,23 +142,28 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]
     filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
-    parts = _Parts(stage, Geoms(stage, pieces), filters, ropes)
-    parts.sites = find_sites(stage, links)
+    shapes, sites = Geoms(stage, pieces, filters.bits), find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
-    bodies = tuple(parts.body(node, dofs[node.link.path]) for node in tree.depth_first())
+    bodies = []
+    for node in desc.depth_first(
+        tree.nodes, lambda node: node.link.path, lambda node: node.parent.path if node.parent else None
+    ):
+        body = _body(stage, node, dofs[node.link.path], shapes)
+        own = (*sites.get(node.link.path, ()), *ropes.sites.get(node.link.name, ()))
+        bodies.append(replace(body, sites=own))
     levels = sorted(tree.nodes, key=lambda node: node.depth)
     robot = desc.RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
-        bodies=bodies,
+        bodies=tuple(bodies),
         gravity=gravity(stage),
-        static_geoms=parts.geoms(None),
+        static_geoms=shapes.of(None),
         static_sites=tuple(ropes.sites.get(None, ())),
-        exclusions=parts.filters.pairs,
+        exclusions=filters.pairs,
         closures=(*read_closures(stage, tree.closures), *ropes.closures),
         couplings=read_mimics(stage, [dof for body in bodies for dof in body.dofs]),
         tendons=tuple(ropes.tendons),
-        materials=tuple(parts.shapes.materials.values()),
-        meshes=tuple(parts.shapes.meshes.values()),
+        materials=tuple(shapes.materials.values()),
+        meshes=tuple(shapes.meshes.values()),
         self_collision=touching,
         breadth_first_dofs=tuple(
             dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1]
@@ -169,29 +179,18 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     return robot
 
 
-class _Parts:
-    def __init__(self, stage: Stage, shapes: Geoms, filters: Filters, ropes: Ropes) -> None:
-        self.stage, self.shapes, self.filters, self.ropes = stage, shapes, filters, ropes
-        self.sites: dict[str, list[desc.Site]] = {}
-
-    def geoms(self, node: Node | None) -> tuple[desc.Geom, ...]:
-        bits = self.filters.bits
-        found = self.shapes.of(node.link if node else None)
-        return tuple(replace(geom, extra={**geom.extra, **bits.get(geom.path, {})}) for geom in found)
-
-    def body(self, node: Node, dofs: tuple[desc.Dof, ...]) -> desc.Body:
-        link, pieces = node.link, self.shapes.pieces.get(node.link.path, [])
-        return desc.Body(
-            name=link.name,
-            path=link.path,
-            parent=node.parent.name if node.parent else None,
-            pose=node.pose,
-            inertial=inertial_of(self.stage, link, pieces, welded=node.joint is not None and not dofs),
-            floating=node.floating,
-            velocity=velocity_of(self.stage, link) if node.floating else (0.0,) * 6,
-            mocap=link.kinematic and node.parent is None and not dofs,
-            weightless=link.weightless,
-            dofs=dofs,
-            geoms=self.geoms(node),
-            sites=(*self.sites.get(link.path, ()), *self.ropes.sites.get(link.name, ())),
-        )
+def _body(stage: Stage, node: Node, dofs: tuple[desc.Dof, ...], shapes: Geoms) -> desc.Body:
+    link, pieces = node.link, shapes.pieces.get(node.link.path, [])
+    return desc.Body(
+        name=link.name,
+        path=link.path,
+        parent=node.parent.name if node.parent else None,
+        pose=node.pose,
+        inertial=inertial_of(stage, link, pieces, welded=node.joint is not None and not dofs),
+        floating=node.floating,
+        velocity=velocity_of(stage, link) if node.floating else (0.0,) * 6,
+        mocap=link.kinematic and node.parent is None and not dofs,
+        weightless=link.weightless,
+        dofs=dofs,
+        geoms=shapes.of(link),
+    )

@@ -100,16 +100,16 @@ def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
     usd.SetEditTarget(usd.GetSessionLayer())
     chosen = {}
     for name, wanted in variants.items():
+        key = f"--variant {name}={wanted}"
         holders = [prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames()]
         if not holders:
             known = list(variant_sets(root))
-            message, key = f"there is no variant set '{name}'", f"--variant {name}={wanted}"
             expected = "one of " + ", ".join(known) if known else "no variants: the file has none"
-            raise AssetError(message, key=key, expected=expected, nearest=nearest_name(name, known))
+            nearest = nearest_name(name, known)
+            raise AssetError(f"there is no variant set '{name}'", key=key, expected=expected, nearest=nearest)
         options = holders[0].GetVariantSet(name).GetVariantNames()
         if wanted not in options:
-            message, key = f"variant set '{name}' has no variant '{wanted}'", f"--variant {name}={wanted}"
-            expected = "one of " + ", ".join(options)
+            message, expected = f"variant set '{name}' has no variant '{wanted}'", "one of " + ", ".join(options)
             raise AssetError(message, key=key, expected=expected, nearest=nearest_name(wanted, options))
         holders[0].GetVariantSet(name).SetVariantSelection(wanted)
         chosen[name] = wanted
@@ -159,6 +159,10 @@ class Stage:
     def articulation_prims(self) -> list[Sdf.Path]:
         """The paths of the USD prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
+
+    def of_type(self, kind: str) -> list[Usd.Prim]:
+        """Return the prims of a USD type, such as ``MjcTendon``."""
+        return [prim for prim in self.prims if prim.GetTypeName() == kind]
 
     def matrix(self, prim: Usd.Prim | None) -> Array:
         """Return the 4x4 map from a prim's coordinates (None: the stage's) to the world in metres, z up."""
@@ -279,9 +283,9 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
     names = tuple(item.name for item in missing)
     stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
     for item in missing:
-        what = "not found" if item.is_file else f"{item.prim}: not found or a cycle"
+        what = "not found" if item.is_file else f"{item.prims[0]}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
-        stage.ledger.find("layer_not_found", item.name, item.prim, places=len(item.prims), looks=item.looks_only)
+        stage.ledger.find("layer_not_found", item.name, item.prims[0], places=len(item.prims), looks=item.looks_only)
     for name, options in variant_sets(root).items():  # USD ignores all variants of a variant set without a selection.
         holder = next(prim for prim in Usd.PrimRange(root) if name in prim.GetVariantSets().GetNames())
         if options and not holder.GetVariantSet(name).GetVariantSelection():

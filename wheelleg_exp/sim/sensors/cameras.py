@@ -100,15 +100,13 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
     """Convert a camera's offset to the convention ``world`` (x forward, y left, z up); the default is ``ros``."""
     given: Mapping[Any, Any] = offset or {}
     rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
-    convention: Convention = given.get("convention", "ros")
-    turned: list[float] = convert_convention(rot, convention, "world")[0].tolist()
+    turned = convert_convention(rot, given.get("convention", "ros"), "world")[0].tolist()
     return {"pos": list(given.get("pos", (0.0, 0.0, 0.0))), "rot": turned}
 
 
 def opengl_quat(offset: Offset) -> list[float]:
     """Return the orientation (w, x, y, z) of a camera in the convention ``opengl``, which MuJoCo's cameras use."""
-    quat: list[float] = convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
-    return quat
+    return convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
 
 
 def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:

@@ -79,7 +79,9 @@ def _time(name: str, doc: str) -> property:
     """Make a property that raises ConfigError unless the sensor tracks contact and air times."""
 
     def get(self: ContactSensorData) -> torch.Tensor:
-        self.require_times()
+        if not self._track_air_time:
+            expected = "true, for a term that reads times or first contacts"
+            self._refuse("contact and air times are not tracked", "track_air_time", expected)
         return self.times[name]
 
     return property(get, doc=doc)
@@ -211,12 +213,6 @@ class ContactSensorData(Kept):
 
     def _refuse(self, message: str, name: str, expected: str) -> NoReturn:
         raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
-
-    def require_times(self) -> None:
-        """Raise ConfigError if the contact sensor does not track contact and air times."""
-        if not self._track_air_time:
-            expected = "true, for a term that reads times or first contacts"
-            self._refuse("contact and air times are not tracked", "track_air_time", expected)
 
     def reset(self, ids: torch.Tensor) -> None:
         """Set the contact forces, contact times and air times of the environments ``ids`` to zero."""

@@ -14,7 +14,7 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.sensors.sensor_base import Mount, Offset, SensorBase, offset_fits, offset_pose
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Kept, cloned
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -177,9 +177,8 @@ class Imu(SensorBase):
             last.copy_(value if due is None else torch.where(due.unsqueeze(1), value, last))
 
     def state_dict(self) -> dict[str, Any]:
-        kept = {name: value.clone() for name, value in vars(self.data).items()}
         own = {"before": self._before, "acc": self._acc, "bias": self._bias_b, "noise": self._noise_b}
-        return {**super().state_dict(), **kept, **{name: value.clone() for name, value in own.items()}}
+        return {**super().state_dict(), **cloned({**vars(self.data), **own})}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         super().load_state_dict(saved)

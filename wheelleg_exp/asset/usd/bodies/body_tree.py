@@ -55,19 +55,6 @@ class Tree:
     nodes: list[Node] = field(default_factory=list)
     closures: list[Joint] = field(default_factory=list)
 
-    def depth_first(self) -> list[Node]:
-        """Return the nodes of the spanning tree in depth-first order."""
-        children: dict[str | None, list[Node]] = {}
-        for node in self.nodes:
-            children.setdefault(node.parent.path if node.parent else None, []).append(node)
-        out: list[Node] = []
-        stack = list(reversed(children.get(None, [])))
-        while stack:
-            node = stack.pop()
-            out.append(node)
-            stack.extend(reversed(children.get(node.link.path, [])))
-        return out
-
 
 def drawn_in_parent(node: Node) -> Frame:
     """Return the pose of a body in its parent body, as drawn in the USD file."""
@@ -182,15 +169,11 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
         if trade is None:
             builder.note()
             return tree
-        _trade(stage, *trade)
-        settled.add(trade[0].path)
-
-
-def _trade(stage: Stage, kept: Joint, opened: Joint) -> None:
-    kept.closes, opened.closes = False, True
-    rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
-    stage.ledger.assume(kept.path, rule, "a joint of the tree")
-    stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
+        kept, opened = trade
+        kept.closes, opened.closes = False, True
+        rule = f"no equality can stand for it where it closes a loop, so the loop opens at {opened.path}"
+        stage.ledger.assume(kept.path, rule, "a joint of the tree")
+        stage.ledger.warn(f"{kept.path}: {rule}, which has no coordinate in the model")
 
 
 def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:

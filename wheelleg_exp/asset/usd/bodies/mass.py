@@ -13,30 +13,12 @@ from typing import Any, cast
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import (
-    BARE_MASS,
-    BARE_RADIUS,
-    WATER,
-    Array,
-    MeshVolume,
-    Part,
-    Solid,
-    apply,
-    balanced,
-    combined_center,
-    combined_tensor,
-    plain_float,
-    primitive,
-    principal,
-    quaternion,
-    rigid_part,
-    rotation_matrix,
-    vec3,
-)
-from wheelleg_exp.asset.rigid_geometry import mesh_solid as solid_of_mesh
+from wheelleg_exp.asset import rigid_geometry as geometry
+from wheelleg_exp.asset.rigid_geometry import Array, MeshVolume, Part, Solid
 from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.colliders import Piece
+from wheelleg_exp.asset.usd.gprims import solid_of
 from wheelleg_exp.asset.usd.materials import physics_material
 from wheelleg_exp.asset.usd.usd_stage import Stage, find_scene, given, schemas
 from wheelleg_exp.errors import AssetError
@@ -54,7 +36,7 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     for piece in pieces:
         if piece.carrier is None or _weightless(stage, piece.carrier):
             continue
-        if (solid := _solid(piece)) is not None:
+        if (solid := solid_of(piece.shape, _volume(piece))) is not None:
             shapes.setdefault(str(piece.carrier.GetPath()), []).append((piece, solid))
     return [_collider(stage, link, group) for group in shapes.values()]
 
@@ -72,8 +54,8 @@ def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Par
     assert carrier is not None
     parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
     # All shapes of one collider prim share the prim's MassAPI, so sum their masses.
-    center = combined_center(parts)
-    whole = Part(sum(p.mass for p in parts), center, combined_tensor(parts, sum(p.mass for p in parts), center))
+    mass, center = sum(part.mass for part in parts), geometry.combined_center(parts)
+    whole = Part(mass, center, geometry.combined_tensor(parts, mass, center))
     if carrier.GetPath() == link.prim.GetPath():
         return whole
     return _with_own(stage, link, carrier, whole)
@@ -87,40 +69,22 @@ def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
         part = Part(stage.units.mass(mass), part.center, tensor * (stage.units.mass(mass) / part.mass))
     inside = link.frame.inverse().matrix() @ stage.matrix(carrier)
     own = _own_tensor(stage, carrier, inside)
-    center = ledger.read(carrier, "physics:centerOfMass")
-    if center is not None and all(math.isfinite(v) for v in center):
-        ledger.mapped(path, "physics:centerOfMass", "the body's centre of mass")
-        part = part.about(apply(inside, np.array([center]))[0])
+    center = _center(stage, carrier, inside, "the body's centre of mass")
+    part = part if center is None else part.about(center)
     return part if own is None else Part(part.mass, part.center, own)
 
 
 def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
     moments = stage.ledger.read(carrier, "physics:diagonalInertia")
-    if moments is None or not any(v > 0 for v in moments) or not all(math.isfinite(v) for v in moments):
+    if not given_moments(moments):
         return None
     stage.ledger.mapped(carrier.GetPath(), "physics:diagonalInertia", "the body's inertia")
     axes = stage.ledger.read(carrier, "physics:principalAxes")
-    turn = rigid_part(inside).rotation
+    turn = geometry.rigid_part(inside).rotation
     if axes is not None and any(axes):
         stage.ledger.mapped(carrier.GetPath(), "physics:principalAxes", "the body's inertia")
-        turn = turn @ rotation_matrix(axes)
+        turn = turn @ geometry.rotation_matrix(axes)
     return np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in moments]) @ turn.T)
-
-
-def _solid(piece: Piece) -> Solid | None:
-    shape = piece.shape
-    if shape.kind == "plane":
-        return None
-    try:
-        if shape.weight is not None:
-            solid = shape.weight
-        elif shape.vertices is None:
-            solid = primitive(shape.kind, shape.size)
-        else:
-            solid = solid_of_mesh(shape.vertices, shape.faces, _volume(piece))
-    except ValueError:
-        return None
-    return solid.seen_from(shape.frame) if solid.volume > 0 else None
 
 
 def _volume(piece: Piece) -> MeshVolume:
@@ -151,8 +115,8 @@ def _density(stage: Stage, link: Link, piece: Piece) -> float:
         if given(value):
             return stage.units.density(value)
     if not given(stage.ledger.read(link.prim, "physics:mass")):
-        stage.ledger.assume(link.path, NO_DENSITY, f"{WATER:g} kg/m³")
-    return WATER
+        stage.ledger.assume(link.path, NO_DENSITY, f"{geometry.WATER:g} kg/m³")
+    return geometry.WATER
 
 
 SMALLEST = 1e-15  # kg or kg m²
@@ -164,7 +128,9 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
     Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts zero mass only for a ``welded``
     body, which cannot move relative to its parent.
     """
-    authored, center, moments = _authored_mass(stage, link), _center(stage, link), _authored_moments(stage, link)
+    inside = link.frame.inverse().matrix() @ stage.matrix(link.prim)
+    authored, center = _authored_mass(stage, link), _center(stage, link.prim, inside, "inertial pos")
+    moments = _authored_moments(stage, link)
     parts: list[Part] = []
     if authored is None or center is None or moments is None:
         parts = parts_of(stage, link, pieces)
@@ -175,15 +141,15 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
     if mass < SMALLEST and not welded:
         raise AssetError(f"the mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
     if center is None:
-        center = combined_center(parts)
+        center = geometry.combined_center(parts)
         if parts:
-            stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(vec3(center)))
+            stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(geometry.vec3(center)))
     values, axes = _moments(stage, link, parts, mass, center, moments)
-    x, y, z = (plain_float(value) for value in values)
+    x, y, z = (geometry.plain_float(value) for value in values)
     if max(x, y, z) < SMALLEST:
-        tiny = Inertial(plain_float(mass), vec3(center), (x, y, z), axes)
+        tiny = Inertial(geometry.plain_float(mass), geometry.vec3(center), (x, y, z), axes)
         return _tiny(stage, link, tiny, None if welded else parts or parts_of(stage, link, pieces))
-    return Inertial(plain_float(mass), vec3(center), _possible(stage, link, (x, y, z)), axes)
+    return Inertial(geometry.plain_float(mass), geometry.vec3(center), _possible(stage, link, (x, y, z)), axes)
 
 
 def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -> Inertial:
@@ -191,11 +157,11 @@ def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -
     largest = max(found.moments)
     stage.ledger.find("tiny_inertia", link.name, link.path, mass=found.mass, largest=largest)
     if parts is None:
-        return replace(found, moments=balanced(found.moments) if largest > 0 else found.moments)
+        return replace(found, moments=geometry.balanced(found.moments) if largest > 0 else found.moments)
     rule = f"moments below {SMALLEST:g} kg m² on a body that moves: as if they were not given"
     stage.ledger.assume(link.path, rule, f"{largest:g}")
     center = np.array(found.center_of_mass)
-    moments, axes = principal(_computed_tensor(stage, link, parts, found.mass, center, True))
+    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, found.mass, center, True))
     if max(moments) < SMALLEST:
         message = f"principal moments of {found.moments} kg m² are too small"
         raise AssetError(message, key=link.path, expected=f"more than {SMALLEST:g}")
@@ -211,7 +177,7 @@ def _moments(
         return authored[0], authored[1]
     if authored is not None and not parts:
         return authored[0], (1.0, 0.0, 0.0, 0.0)
-    moments, axes = principal(_computed_tensor(stage, link, parts, mass, center, authored is None))
+    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, mass, center, authored is None))
     if authored is not None:
         if axes != (1.0, 0.0, 0.0, 0.0):
             stage.ledger.assume(link.path, "no principal axes: those of the colliders, as PhysX", str(axes))
@@ -237,20 +203,22 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
         if stage.ledger.assumed(link.path, NO_DENSITY):
             stage.ledger.find("no_inertial", link.name, link.path, mass=total)
         return total
-    mass = stage.units.mass(BARE_MASS)
+    mass = stage.units.mass(geometry.BARE_MASS)
     stage.ledger.assume(link.path, "no mass and no collider: as PhysX, one unit of the stage", f"{mass:g} kg")
     stage.ledger.find("no_inertial", link.name, link.path, mass=mass)
     return mass
 
 
-def _center(stage: Stage, link: Link) -> Array | None:
-    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none."""
-    value = stage.ledger.read(link.prim, "physics:centerOfMass")
+def _center(stage: Stage, prim: Usd.Prim, inside: Array, became: str) -> Array | None:
+    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none.
+
+    ``inside`` (4, 4) maps coordinates of the prim to coordinates of its body in metres.
+    """
+    value = stage.ledger.read(prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None
-    stage.ledger.mapped(link.path, "physics:centerOfMass", "inertial pos")
-    inside = link.frame.inverse().matrix() @ stage.matrix(link.prim)
-    return apply(inside, np.array([value]))[0]
+    stage.ledger.mapped(prim.GetPath(), "physics:centerOfMass", became)
+    return geometry.apply(inside, np.array([value]))[0]
 
 
 def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | None:
@@ -258,9 +226,12 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
     ledger, factor = stage.ledger, stage.units.inertia(1.0)
     six = ledger.read(link.prim, "newton:inertia")
     if six is not None and len(six) == 6 and any(six):
-        _newton_wins(stage, link)
+        ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
+        for name in ("physics:diagonalInertia", "physics:principalAxes"):
+            if (value := ledger.read(link.prim, name)) is not None:
+                ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
         a, b, c, d, e, f = (v * factor for v in six)
-        return principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
+        return geometry.principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
     moments = ledger.read(link.prim, "physics:diagonalInertia")
     if not given_moments(moments):
         return None
@@ -270,13 +241,6 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
         ledger.warn(f"{link.path}: moments of inertia {moments} are read without their signs")
     x, y, z = (abs(float(v)) * factor for v in moments)
     return (x, y, z), _authored_axes(stage, link)
-
-
-def _newton_wins(stage: Stage, link: Link) -> None:
-    stage.ledger.mapped(link.path, "newton:inertia", "inertial diaginertia and quat")
-    for name in ("physics:diagonalInertia", "physics:principalAxes"):
-        if (value := stage.ledger.read(link.prim, name)) is not None:
-            stage.ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
 
 
 def given_moments(value: Any) -> bool:
@@ -289,7 +253,7 @@ def _authored_axes(stage: Stage, link: Link) -> Quat | None:
     if axes is None or not any(axes):
         return None
     stage.ledger.mapped(link.path, "physics:principalAxes", "inertial quat")
-    return quaternion(rotation_matrix(axes))
+    return geometry.quaternion(geometry.rotation_matrix(axes))
 
 
 def _computed_tensor(
@@ -298,15 +262,15 @@ def _computed_tensor(
     if sum(part.mass for part in parts) <= 0:
         stage.ledger.assume(link.path, "no inertia and no collider: a sphere of 0.1 m, as PhysX", "0.4 m r²")
         stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
-        return np.eye(3) * 0.4 * mass * BARE_RADIUS**2
+        return np.eye(3) * 0.4 * mass * geometry.BARE_RADIUS**2
     if for_moments:
         stage.ledger.assume(link.path, "no inertia: from the colliders, scaled to the mass", "principal moments")
         stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
-    return combined_tensor(parts, mass, center)
+    return geometry.combined_tensor(parts, mass, center)
 
 
 def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
-    able = balanced(moments)
+    able = geometry.balanced(moments)
     if able == moments:
         return moments
     stage.ledger.assume(link.path, "moments that no body can have (A + B < C): the largest is cut", f"{able}")

@@ -64,8 +64,7 @@ def find_links(stage: Stage) -> Links:
     if not prims:
         raise _no_articulation(stage)
     require_size(len(prims), MOST_BODIES, "rigid bodies", where=str(stage.source))
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    return Links([_link(stage, prim, names[str(prim.GetPath())]) for prim in prims])
+    return Links([_link(stage, prim, name) for prim, name in named(prims)])
 
 
 def _no_articulation(stage: Stage) -> AssetError:
@@ -112,6 +111,12 @@ def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
             if original and original.isprintable() and len(original) <= LONGEST:
                 out[str(prim.GetPath())] = original
     return out
+
+
+def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
+    """Return prims with unique names."""
+    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
+    return [(prim, names[str(prim.GetPath())]) for prim in prims]
 
 
 def _enabled(stage: Stage, prim: Usd.Prim) -> bool:

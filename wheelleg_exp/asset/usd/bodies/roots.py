@@ -68,7 +68,10 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
     """
     marks = stage.articulation_prims
     roots: dict[str, Root] = {}
-    for joint in _to_world(graph, marks):
+    marked_paths = {str(path) for path in marks}
+    to_world = graph.at(None)
+    # Joints that are, or whose bodies are, marked as articulation roots come first.
+    for joint in sorted(to_world, key=lambda j: not marked_paths & {j.path, *(link.path for link in j.links if link)}):
         link = joint.other(None)
         if link is not None and not joint.closes:
             roots.setdefault(link.path, (link, joint))
@@ -97,13 +100,7 @@ def articulated(stage: Stage, graph: Graph) -> list[Joint]:
     for seed in seeds:
         if seed.path not in reached:
             reached |= {link.path for link in graph.component(seed)}
-    inside = (j for j in graph.joints if not j.closes and all(link and link.path in reached for link in j.links))
-    return list(inside)
-
-
-def _to_world(graph: Graph, marks: list[Sdf.Path]) -> list[Joint]:
-    marked = {str(path) for path in marks}
-    return sorted(graph.at(None), key=lambda j: not marked & {j.path, *(link.path for link in j.links if link)})
+    return [j for j in graph.joints if not j.closes and all(link and link.path in reached for link in j.links)]
 
 
 def _middles(graph: Graph, marks: list[Sdf.Path], roots: list[Link]) -> Iterable[Link]:

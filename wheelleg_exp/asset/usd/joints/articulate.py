@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import Array, Frame, rounded, vec3
+from wheelleg_exp.asset.rigid_geometry import Array, Frame, rounded, turned, vec3
 from wheelleg_exp.asset.robot_description import Dof, Vec3
 from wheelleg_exp.asset.usd.bodies.body_tree import Node, drawn_in_parent
-from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, read_range, turned
+from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, read_range
 from wheelleg_exp.asset.usd.joints.joint_drives import clamped, force_range, read_drive, read_passive, velocity_limit
 from wheelleg_exp.asset.usd.joints.usd_joints import Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians
@@ -57,7 +57,10 @@ def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: boo
     reached = Frame.identity()
     for dof, value in zip(dofs, values, strict=True):
         reached = reached @ _moved(dof, value)
-    _warn_if_apart(stage, node, moved, reached)
+    metres, radians = moved.distance(reached)
+    if metres >= CLOSE_M or radians >= CLOSE_RAD:
+        rule = "drawn pose and joint frames differ: the frames win"
+        stage.ledger.assume(node.link.path, rule, f"{metres:.4g} m, {radians:.4g} rad")
     saved = any(name.startswith("state:") for name in map(str, node.joint.prim.GetAuthoredPropertyNames()))
     drawn_at_zero = all(abs(value) < CLOSE_RAD for value in values)
     if saved or (drawn_at_zero and loops):
@@ -86,10 +89,8 @@ def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]
     inside = at_joint.inverse() @ moved @ at_joint
     inside = inside.inverse() if node.reversed else inside
     angles = _euler(inside.rotation)
-    by_axis = {axis.suffix: axis for axis in node.joint.axes}
     values = []
-    for dof in dofs:
-        axis = next(axis for suffix, axis in by_axis.items() if dof.name.endswith(suffix))
+    for axis in reversed(node.joint.axes) if node.reversed else node.joint.axes:  # the order of ``dofs``
         index = "XYZ".index(axis.token[-1])
         values.append(float(inside.translation[index]) if axis.kind == "slide" else angles[index])
     return values
@@ -120,15 +121,6 @@ def _moved(dof: Dof, value: float) -> Frame:
     return Frame(turn, anchor - turn @ anchor)
 
 
-def _warn_if_apart(stage: Stage, node: Node, drawn: Frame, reached: Frame) -> None:
-    metres, radians = drawn.distance(reached)
-    if metres < CLOSE_M and radians < CLOSE_RAD:
-        return
-    stage.ledger.assume(
-        node.link.path, "drawn pose and joint frames differ: the frames win", f"{metres:.4g} m, {radians:.4g} rad"
-    )
-
-
 def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction: Vec3, anchor: Vec3) -> Dof:
     """Return the degree of freedom of a joint axis; ``direction`` and ``anchor`` (m) are in the child body's frame."""
     angular = axis.kind != "slide"
@@ -148,8 +140,7 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
         position=ref if state is None else clamped(stage, prim, "the saved state", state + ref, limits),
         velocity=speed,
         ref=ref,
-        extra={},
-        **asdict(read_passive(stage, prim, axis)),
+        **read_passive(stage, prim, axis),
     )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import Array, Frame
+from wheelleg_exp.asset.rigid_geometry import Frame, turned
 from wheelleg_exp.asset.robot_description import Vec3
 from wheelleg_exp.asset.usd.usd_stage import Stage, Units, endless, schemas
 
@@ -103,13 +102,6 @@ def _at(stage: Stage, prim: Usd.Prim, token: str, value: float) -> Frame:
     return Frame(turned(unit, size), np.zeros(3))
 
 
-def turned(axis: Array, angle: float) -> Array:
-    """Return the 3x3 rotation about a unit axis (3,) by an angle in rad (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross)
-
-
 Range = tuple[float, float]
 FAR = 1e6  # rad or m
 LOCKED = 1e-4  # rad or m
@@ -121,29 +113,24 @@ def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
         return _cone(stage, prim)
     if axis.token == "twist":
         return None
+    angular = axis.kind == "hinge"
     if axis.suffix:
-        return _generic(stage, prim, axis)
-    return _single(stage, prim, axis.kind == "hinge")
-
-
-def _generic(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
-    low = stage.ledger.read(prim, f"limit:{axis.token}:physics:low", "range")
-    high = stage.ledger.read(prim, f"limit:{axis.token}:physics:high", "range")
-    return _range(stage.units, low, high, axis.kind == "hinge", one_sided=True)
+        low, high = (stage.ledger.read(prim, f"limit:{axis.token}:physics:{end}", "range") for end in ("low", "high"))
+        return _range(stage.units, low, high, angular, one_sided=True)
+    return _single(stage, prim, angular)
 
 
 def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
     ledger = stage.ledger
     low = ledger.read(prim, "physics:lowerLimit", "range")
     high = ledger.read(prim, "physics:upperLimit", "range")
-    if low is not None and high is not None and low == high:
-        ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+    if low is not None and high is not None and low >= high:
         ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
-        ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
-        return None
-    if low is not None and high is not None and low > high:
+        if low == high:
+            ledger.assume(prim.GetPath(), "lower and upper limit are equal: no limits", f"{low:g}")
+            ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are read as none; PhysX locks such a joint")
+            return None
         ledger.assume(prim.GetPath(), "the lower limit is above the upper one: locked, as PhysX", LOCKED)
-        ledger.find("no_limits", prim.GetName(), prim.GetPath(), lower=low, upper=high)
         ledger.warn(f"{prim.GetPath()}: limits {low:g} to {high:g} are the wrong way round; the joint is locked at 0")
         return -LOCKED, LOCKED
     found = _range(stage.units, low, high, angular, one_sided=not angular)

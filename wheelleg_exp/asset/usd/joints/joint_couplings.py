@@ -34,18 +34,14 @@ def read_ropes(stage: Stage, joints: list[Joint]) -> Ropes:
     ropes = Ropes()
     for joint in joints:
         if joint.kind == DISTANCE:
-            _add(stage, joint, _distances(stage, joint.prim), ropes)
+            low = stage.ledger.read(joint.prim, "physics:minDistance", "tendon range")
+            high = stage.ledger.read(joint.prim, "physics:maxDistance", "tendon range")
+            _add(stage, joint, _range(stage, low, high), ropes)
         elif joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
             high = stage.ledger.read(joint.prim, "limit:distance:physics:high", "tendon range")
             low = stage.ledger.read(joint.prim, "limit:distance:physics:low", "tendon range")
-            _add(stage, joint, _range(stage, low, high), ropes, quiet=True)
+            _add(stage, joint, _range(stage, low, high), ropes)
     return ropes
-
-
-def _distances(stage: Stage, prim: Usd.Prim) -> Range | None:
-    low = stage.ledger.read(prim, "physics:minDistance", "tendon range")
-    high = stage.ledger.read(prim, "physics:maxDistance", "tendon range")
-    return _range(stage, low, high)
 
 
 def _range(stage: Stage, low: float | None, high: float | None) -> Range | None:
@@ -59,10 +55,10 @@ def _range(stage: Stage, low: float | None, high: float | None) -> Range | None:
     )
 
 
-def _add(stage: Stage, joint: Joint, limits: Range | None, ropes: Ropes, quiet: bool = False) -> None:
+def _add(stage: Stage, joint: Joint, limits: Range | None, ropes: Ropes) -> None:
     names = tuple(link.name if link else None for link in joint.links)
     if limits is None or limits[0] > limits[1]:
-        if not quiet:
+        if joint.kind == DISTANCE:
             stage.ledger.leave(joint.path, joint.kind, "it limits no distance")
             stage.ledger.warn(f"{joint.path}: a distance joint without distances was left out")
         return
@@ -78,14 +74,9 @@ def _add(stage: Stage, joint: Joint, limits: Range | None, ropes: Ropes, quiet: 
         points.append(TendonPoint("site", site.name))
     stage.ledger.mapped(joint.path, joint.kind, f"spatial tendon {joint.name}")
     extra = _spring(stage, joint.prim, limits)
-    reach = None if extra else _wide(limits)
+    wide = limits if limits[0] < limits[1] else (limits[0] * (1 - ROD), limits[1] * (1 + ROD))
+    reach = None if extra else wide
     ropes.tendons.append(Tendon(joint.name, joint.path, points=tuple(points), range=reach, extra=extra))
-
-
-def _wide(limits: Range) -> Range:
-    if limits[0] < limits[1]:
-        return limits
-    return limits[0] * (1 - ROD), limits[1] * (1 + ROD)
 
 
 def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:

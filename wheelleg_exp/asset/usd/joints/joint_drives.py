@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from pxr import Usd
@@ -31,7 +30,6 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
         return None
     units, angular = stage.units, axis.kind != "slide"
     kp, kd = (max(0.0, units.gain(value[key] or 0.0, angular)) for key in ("stiffness", "damping"))
-    limit = _effort(stage, prim, value["maxForce"])
     target = units.coordinate(value["targetPosition"] or 0.0, angular) + ref
     speed = units.coordinate(value["targetVelocity"] or 0.0, angular)
     if kp > 0 and kd > 0 and speed:
@@ -40,7 +38,7 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
         kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
         stiffness=kp,
         damping=kd,
-        effort=_noted(stage, prim, value["maxForce"], None if limit is None else units.effort(limit, angular)),
+        effort=_effort(stage, prim, value["maxForce"], angular),
         target_position=clamped(stage, prim, f"the target of drive:{axis.token}", target, limits),
         target_velocity=speed,
         acceleration=value["type"] == "acceleration",
@@ -66,15 +64,13 @@ def _values(stage: Stage, prim: Usd.Prim, token: str) -> dict[str, Any] | None:
     return value
 
 
-def _effort(stage: Stage, prim: Usd.Prim, authored: float | None) -> float | None:
+def _effort(stage: Stage, prim: Usd.Prim, authored: float | None, angular: bool) -> float | None:
+    """Return a drive's effort limit in N·m or N; report an implausible effort limit, such as 0, as a placeholder."""
     if authored is not None and authored <= 0:
         rule = f"a drive's maxForce of {authored:g} is taken for not given"
         stage.ledger.assume(prim.GetPath(), rule, "no effort limit")
-    return effort_limit(authored)
-
-
-def _noted(stage: Stage, prim: Usd.Prim, authored: float | None, effort: float | None) -> float | None:
-    """Return ``effort``; report an implausible effort limit, such as 0, as a placeholder."""
+    limit = effort_limit(authored)
+    effort = None if limit is None else stage.units.effort(limit, angular)
     shown = authored if effort is None else effort
     if shown is not None and is_placeholder(shown) and shown < HUGE:
         stage.ledger.find("placeholder_effort", prim.GetName(), prim.GetPath(), value=shown)
@@ -104,47 +100,43 @@ _VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJo
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
-@dataclass(frozen=True)
-class Passive:
-    """A joint's armature, friction loss, damping, and stiffness in SI units."""
+def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> dict[str, Any]:
+    """Return one axis's armature, friction loss, damping, and stiffness, by the names of the fields of ``Dof``.
 
-    armature: float
-    frictionloss: float
-    damping: float
-    stiffness: float
-
-
-def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
-    """Return one axis's passive forces; MuJoCo's schemas override Newton's schemas, which override PhysX's schemas."""
+    MuJoCo's schemas override Newton's schemas, which override PhysX's schemas.
+    """
     units, angular = stage.units, axis.kind != "slide"
 
-    def winner(became: str, convert: Callable[[float, bool], float], *names: str) -> float:
-        found = list(_authored(stage, prim, axis, names, lambda value: convert(value, angular)))
-        return _winner(stage, prim, became, found)
+    def winner(became: str, convert: Callable[[float, bool], float], names: Iterable[str]) -> float:
+        given = _authored(stage, prim, axis, names, lambda value: convert(value, angular))
+        for name, other in given:
+            if _agrees(name, other, given[0]):
+                stage.ledger.mapped(prim.GetPath(), name, became)
+            else:
+                stage.ledger.leave(prim.GetPath(), name, f"{given[0][0]} wins over it", f"{other:g}")
+        return given[0][1] if given else 0.0
 
-    return Passive(
-        armature=winner("armature", units.rotor, *_ARMATURE),
-        frictionloss=winner("frictionloss", units.effort, *_FRICTION),
-        damping=winner("damping", units.gain, *_DAMPING),
-        stiffness=_spring(stage, prim),
-    )
-
-
-def _spring(stage: Stage, prim: Usd.Prim) -> float:
-    value = stage.ledger.read(prim, "mjc:stiffness", "stiffness")
-    return 0.0 if value is None else float(value)
+    return {
+        "armature": winner("armature", units.rotor, _ARMATURE),
+        "frictionloss": winner("frictionloss", units.effort, _FRICTION),
+        "damping": winner("damping", units.gain, _DAMPING),
+        "stiffness": float(stage.ledger.read(prim, "mjc:stiffness", "stiffness") or 0.0),
+    }
 
 
 def _authored(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, names: Iterable[str], convert: Callable[[float], float]
-) -> Iterator[Found]:
+) -> list[tuple[str, float]]:
+    """Return the usable ones of the attributes ``names``, with their values in SI units."""
+    found: list[Found] = []
     for name in names:
         schema, _, what = name.partition(":")
         # PhysxJointAxisAPI has one value per joint axis; all other USD schemas have one value per joint.
         if schema == "physxJointAxis":
-            yield from _per_axis(stage, prim, axis, what, convert)
+            found += _per_axis(stage, prim, axis, what, convert)
         else:
-            yield _value(stage, prim, name, float if schema in ("mjc", "urdf") else convert)
+            found.append(_value(stage, prim, name, float if schema in ("mjc", "urdf") else convert))
+    return [(name, value) for name, value in found if value is not None]
 
 
 def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], float]) -> Found:
@@ -155,7 +147,7 @@ def _value(stage: Stage, prim: Usd.Prim, name: str, convert: Callable[[float], f
 
 def _per_axis(
     stage: Stage, prim: Usd.Prim, axis: FreeAxis, what: str, convert: Callable[[float], float]
-) -> Iterable[Found]:
+) -> Iterator[Found]:
     """Yield a PhysxJointAxisAPI attribute of a joint axis; a ball joint gets the strictest value of its three axes."""
     tokens = TURNS if axis.kind == "ball" else (axis.token,)
     found = [_value(stage, prim, f"physxJointAxis:{token}:{what}", convert) for token in tokens]
@@ -167,19 +159,6 @@ def _per_axis(
         strictest = _AXIS_FALLBACKS.get(what)
     for index, (name, value) in enumerate(found):
         yield name, strictest if index == 0 else value
-
-
-def _winner(stage: Stage, prim: Usd.Prim, became: str, found: list[Found]) -> float:
-    given = [(name, value) for name, value in found if value is not None]
-    if not given:
-        return 0.0
-    first, value = given[0]
-    for name, other in given:
-        if _agrees(name, other, given[0]):
-            stage.ledger.mapped(prim.GetPath(), name, became)
-        else:
-            stage.ledger.leave(prim.GetPath(), name, f"{first} wins over it", f"{other:g}")
-    return value
 
 
 def _agrees(name: str, value: float, winner: tuple[str, float]) -> bool:
@@ -195,7 +174,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
     def to_si(value: float) -> float:
         return stage.units.coordinate(value, angular) if value < HUGE else math.inf
 
-    given = [(name, speed) for name, speed in _authored(stage, prim, axis, _VELOCITY, to_si) if speed is not None]
+    given = _authored(stage, prim, axis, _VELOCITY, to_si)
     for _, speed in given:
         if is_placeholder(speed) and speed < math.inf:
             stage.ledger.find("placeholder_velocity", prim.GetName(), prim.GetPath(), value=speed)

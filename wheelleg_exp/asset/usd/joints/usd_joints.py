@@ -8,8 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.rigid_geometry import Frame, apply, rigid_part, rotation_matrix
-from wheelleg_exp.asset.robot_description import unique_names
-from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
+from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, named
 from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, ball_axes, generic_axes, single_axis
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
@@ -58,8 +57,7 @@ class Joint:
 def read_joints(stage: Stage, links: Links) -> list[Joint]:
     """Return the enabled joints of a USD stage whose bodies exist, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
-    names = unique_names([str(prim.GetPath()) for prim in prims], shown_names(prims))
-    found = (_joint(stage, links, prim, names[str(prim.GetPath())]) for prim in prims)
+    found = (_joint(stage, links, prim, name) for prim, name in named(prims))
     return [joint for joint in found if joint is not None]
 
 
@@ -86,10 +84,8 @@ def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | Non
 
 def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
     kind, same = str(prim.GetTypeName()), Frame.identity()
-    if kind == "PhysicsRevoluteJoint":
-        return single_axis(stage, prim, angular=True), same
-    if kind == "PhysicsPrismaticJoint":
-        return single_axis(stage, prim, angular=False), same
+    if kind in ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint"):
+        return single_axis(stage, prim, kind == "PhysicsRevoluteJoint"), same
     if kind == "PhysicsSphericalJoint":
         return ball_axes(stage, prim), same
     if kind == "PhysicsFixedJoint":
