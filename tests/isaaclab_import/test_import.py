@@ -232,6 +232,12 @@ def _with_nan(folder: Path) -> None:
     _state(model_state_dict={name: value * float("nan") for name, value in networks.items()})(folder)
 
 
+def _limx(folder: Path) -> None:
+    (folder / "params/env.yaml").rename(folder / "params.yaml")
+    (folder / "policy").mkdir()
+    (folder / "policy/encoder.onnx").touch()
+
+
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 WIDE = {"func": "isaaclab.envs.mdp.observations:joint_pos_rel", "params": {}}
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -280,6 +286,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "another network": (_state(model_state_dict={"estimator.0.weight": torch.ones(1, 1)}), "another network"),
     "recurrent": (_state(model_state_dict={"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}), "recurrent"),
     "NaN": (_with_nan, "NaN"),
+    "encoder": (_limx, "encoder"),
     "agent is text": (_replace("params/agent.yaml", "ppo"), "no mapping"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
 }  # fmt: skip

@@ -141,14 +141,14 @@ def test_a_robot_keeps_its_textures(tmp_path, ending, name):
     assert texture.relative_to(copy.parent).as_posix() in copy.read_text()
 
 
-@pytest.mark.parametrize("name", ["pipe.usda", "robot.stl", "robot.urdf.xacro"])
+@pytest.mark.parametrize("name", ["pipe.usda", "robot.stl", "robot.urdf.xacro", "robot.xml"])
 def test_a_pipe_as_a_layer_and_another_format_are_refused(name, tmp_path):
     if name == "pipe.usda":
         os.mkfifo(tmp_path / name)
         source, message = naming(tmp_path, "usda", f"./{name}"), "is a pipe"
     else:
         (source := tmp_path / name).write_text("no robot")
-        message = None
+        message = "mujoco_usd_converter" if name == "robot.xml" else None
     with pytest.raises(WheellegError, match=message):
         copy_robot(source, tmp_path / "copy")
 

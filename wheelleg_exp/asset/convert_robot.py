@@ -133,6 +133,10 @@ def is_urdf(source: Path, variants: Mapping[str, str]) -> bool:
     if suffix == ".xacro":
         message = f"'{source.name}' contains xacro macros, which this converter does not expand"
         raise AssetError(message, where=where, expected="a URDF: xacro IN -o OUT.urdf")
+    if suffix in (".xml", ".mjcf"):
+        message = f"'{source.name}' looks like an MJCF file, which this converter does not read"
+        expected = "a USD: mujoco_usd_converter IN OUT (package mujoco-usd-converter, in its own environment)"
+        raise AssetError(message, where=where, expected=expected)
     if suffix not in USD and source.is_file():
         raise AssetError(f"'{source.name}' is not a USD or URDF file", where=where, expected=", ".join((*USD, *URDF)))
     return False

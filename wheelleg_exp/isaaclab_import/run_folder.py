@@ -47,6 +47,9 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
     folder = path.parent if path.is_file() else path
     places = [path.name] if path.is_file() else [f"{below}{kind}" for kind in _KINDS for below in ("params/", "")]
     file = next((folder / place for place in places if (folder / place).is_file()), None)
+    if file is None and any(folder.glob("policy/**/encoder.onnx")):
+        message = "the policy reads the output of an encoder, as LimX's policies do"
+        raise RunDirectoryError(message, key=str(path), expected="a policy that is one multilayer perceptron")
     if file is None or file.name not in _KINDS:
         raise RunDirectoryError("the folder contains no run", key=str(path), expected=_EXPECTED)
     root = file.parent.parent if file.parent.name == "params" else file.parent
