@@ -243,6 +243,18 @@ def test_missing_parts(key: str) -> None:
         converted(changed(ENV, key, None), AGENT)
 
 
+def test_recorders() -> None:
+    path = "isaaclab.envs.mdp.recorders.recorders:"
+    settings = {"dataset_filename": "dataset", "dataset_export_mode": {"_value_": 1}, "export_in_close": True}
+    terms = {"start": {"class_type": f"{path}InitialStateRecorder"}, "own": {"class_type": "my_lab:Recorder"}}
+    mapping, _, report = converted(changed(ENV, "recorders", settings | terms), AGENT)
+    assert mapping.env["recorders"] == {"start": {"_target_": "wheelleg_exp.mdp.recorders.InitialStateRecorder"}}
+    assert [row.key for row in report.of(CODE) if row.key.startswith("recorders")] == ["recorders.own"]
+    assert [row.key for row in report.of(NOT_NEEDED) if row.key.startswith("recorders")] == [
+        f"recorders.{name}" for name in settings
+    ]
+
+
 def test_author_terms(tmp_path: Path) -> None:
     terms = AuthorTerms(write_terms(tmp_path), "mine")
     assert terms.target("my_lab.tasks.mdp.rewards:tilt_cost") == "mine.rewards.tilt_cost"

@@ -30,14 +30,16 @@ Tree = Mapping[str, Any]
 _DRAWN = "nothing is drawn during training"
 _STAGE = "there is no Omniverse stage"
 _PHYSX = "a setting of the physics engine; MuJoCo solves contacts differently"
+_RECORDED = "runs are recorded in their own format"
 _ROOT_DROPPED = {
     _DRAWN: (
         *("viewer", "ui_window_class_type", "rerender_on_reset", "num_rerenders_on_reset", "wait_for_textures"),
         *("class_type", "video_recorders"),
     ),
     "teleoperation is not part of a task": ("xr", "teleop_devices"),
-    "runs are recorded in their own format": ("recorders", "export_io_descriptors", "log_dir"),
+    _RECORDED: ("export_io_descriptors", "log_dir"),
 }
+_OF_DATASET = re.compile("dataset_|export_in_")
 _SIM_DROPPED = {
     "the engine's memory and rendering are set elsewhere": (
         *("device", "render_interval", "render", "use_fabric", "enable_scene_query_support", "create_stage_in_memory"),
@@ -140,7 +142,9 @@ class EnvMapping:
         self._scene(root.section("scene"), material)
         terms = TermMapping(self.env, self._robot_name, self._user_target, self._report)
         for kind in KINDS:
-            self.env[kind] = self.env.get(kind, {}) | terms.section(kind, root.section(kind))
+            part = root.section(kind)
+            part.drop([key for key in part.left if _OF_DATASET.match(key)], _RECORDED, NOT_NEEDED)
+            self.env[kind] = self.env.get(kind, {}) | terms.section(kind, part)
         self.lost = terms.lost
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)

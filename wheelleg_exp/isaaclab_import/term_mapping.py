@@ -12,7 +12,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
-KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum")
+KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum", "recorders")
 _STOCK = re.compile(
     r"(omni\.isaac\.lab|isaaclab)\.|"
     r"(omni\.isaac\.lab_tasks|isaaclab_tasks)\.(manager_based\.locomotion|core|contrib)\.velocity\.mdp\b"
@@ -95,7 +95,7 @@ class TermMapping:
         if kind == "events" and node.get("mode") != "reset":
             _remove(node, "min_step_count_between_reset")
         parameters = part.section("params")
-        if kind in ("actions", "commands"):
+        if kind in ("actions", "commands", "recorders"):
             parameters = part
             self._change_period(part)
             _remove(part.left, *filter(_SHOWN.fullmatch, part.left))

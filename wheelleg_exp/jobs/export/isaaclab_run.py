@@ -112,7 +112,7 @@ class IsaacLabEnv:
         self.tree["scene"] = {"num_envs": env["num_envs"], "env_spacing": scene["env_spacing"]}
         self.tree["scene"] |= {"robot": robot, "terrain": terrain}
         self.tree["scene"] |= self._each(self._sensor, scene["sensors"], "scene.sensors")
-        for kind in (*KINDS, "recorders"):
+        for kind in KINDS:
             convert = self._group if kind == "observations" else self._term
             self.tree[kind] = self._each(convert, env.get(kind) or {}, kind)
 
