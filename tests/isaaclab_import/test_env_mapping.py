@@ -277,4 +277,4 @@ def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
     assert "data.net_forces_w_history)" not in text
     assert "env.scene.sensors['feet'].data.net_forces_w_history[:, 0]" in text
     assert "robot.set_joint_position_target(target=robot.data.joint_pos)" in text
-    assert "from wheelleg_exp.isaaclab_tasks.manager_based.locomotion.velocity.mdp import feet_slide" in text
+    assert "from wheelleg_exp.isaaclab_tasks.core.velocity.mdp import feet_slide" in text

@@ -134,7 +134,7 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
     **{f"sensors.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},
     **{f"sensors.{name}.{name}": ("A sensor.", _SENSORS) for name in ("camera", "contact_sensor", "imu", "ray_caster")},
     "sim": ("The simulation, for annotations.", {"SimulationContext": Simulation}),
-    "terrains": ("The ground.", {"TerrainImporter": TerrainBase}),
+    **{name: ("The ground.", {"TerrainImporter": TerrainBase}) for name in ("terrains", "terrains.terrain_importer")},
     "utils.modifiers": ("The modifiers of observations.", _public(modifiers)),
     "utils.noise": ("The noise of observations.", _public(noise)),
 }

@@ -18,9 +18,7 @@ from wheelleg_exp.files import read_text
 _MOST_FILES = 20_000
 _PACKAGES = ("isaaclab", "isaaclab_tasks")
 _LIBRARIES = ("torch", "numpy", "math", "typing", "collections", "dataclasses", "scipy")
-_VELOCITY = "isaaclab_tasks.manager_based.locomotion.velocity"
 _OLD = {"omni.isaac.lab_tasks": "isaaclab_tasks", "omni.isaac.lab": "isaaclab"}
-_OLD |= {"isaaclab_tasks.core.velocity": _VELOCITY, "isaaclab_tasks.contrib.velocity": _VELOCITY}  # of Isaac Lab 3.0
 
 
 class AuthorTerms:
