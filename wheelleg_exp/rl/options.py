@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -127,29 +127,25 @@ PARAMETERS: dict[str, Any] = {
 
 def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
     """Raise ConfigError for the first invalid value in the config section ``agent``."""
-    errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
+    errors = [*section_errors("agent", agent, agent_options(agent)), *parameter_errors(agent)]
     for error in errors or batch_errors(agent, num_envs):
         raise error
 
 
-def parameter_errors(agent: Mapping[str, Any]) -> list[ConfigError]:
-    """Return an error for each invalid value of rsl_rl's parameters."""
-    errors: list[ConfigError] = []
+def parameter_errors(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield an error for each invalid value of rsl_rl's parameters."""
     for name, section in agent.items():
         if isinstance(section, Mapping) and name != "obs_groups":
-            errors += _below(below("agent", str(name)), section)
-    return errors
+            yield from _below(below("agent", str(name)), section)
 
 
-def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
-    errors = []
+def _below(path: str, node: Mapping[str, Any]) -> Iterator[ConfigError]:
     for name, value in node.items():
         key = below(path, str(name))
         if name in PARAMETERS:
-            errors += value_errors(key, value, PARAMETERS[name])
+            yield from value_errors(key, value, PARAMETERS[name])
         elif isinstance(value, Mapping):
-            errors += _below(key, value)
-    return errors
+            yield from _below(key, value)
 
 
 def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:

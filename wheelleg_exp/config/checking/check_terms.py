@@ -40,9 +40,8 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
                 yield section, f"env.{section}.{term}", node
 
 
-def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in every term of the config."""
-    errors = []
+def check_sections(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistakes in every term of the config."""
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
             if isinstance(error, binding.NotSelected):
@@ -50,8 +49,7 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
                 terms = section_at(config, parent).items()
                 selected = [str(t) for t, other in terms if isinstance(other, Mapping) and binding.TARGET in other]
                 error.nearest = nearest_name(name, selected)
-            errors.append(error)
-    return errors
+            yield error
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
@@ -60,7 +58,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         term = binding.split_node(section, path, node)
     except ConfigError as error:
         return [error]
-    errors = field_errors(section, term)
+    errors = list(field_errors(section, term))
     try:
         target = import_target(term.target, path)
     except ConfigError as error:
@@ -138,23 +136,20 @@ def _nearest_target(target: str) -> str | None:
     return None
 
 
-def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
+def check_nested_targets(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
     terms = {path for _, path, _ in term_nodes(config)}
-    errors: list[ConfigError] = []
     for path, node in binding.walk_nodes(config):
         if binding.TARGET not in node or path in terms:
             continue
         try:
-            errors += nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
+            yield from nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
         except ConfigError as error:
-            errors.append(error)
-    return errors
+            yield error
 
 
-def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
-    errors: list[ConfigError] = []
+def check_links(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
             continue
@@ -167,8 +162,7 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
             expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
             error = UnknownName(message, key=key, expected=expected, nearest=nearest_name(value, known))
             error.named = f"env.{kind}.{value}"
-            errors.append(error)
-    return errors
+            yield error
 
 
 def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:

@@ -36,17 +36,15 @@ def where_of(override: Override) -> str:
     return f"override {override.input_line}"
 
 
-def _option_problems(loader: Loader, parsed: Sequence[Override]) -> list[ConfigError]:
-    problems = []
+def _option_problems(loader: Loader, parsed: Sequence[Override]) -> Iterator[ConfigError]:
     for override in parsed:
         group = override.key_or_group
         if isinstance(override.value(), dict) or override.is_hydra_override():
             continue
         if loader.repository_used.group_exists(group):
-            problems += _value_problems(loader.repository_used, override)
+            yield from _value_problems(loader.repository_used, override)
         elif override.package is not None:
-            problems.append(_no_group(loader, group, where_of(override)))
-    return problems
+            yield _no_group(loader, group, where_of(override))
 
 
 def _no_group(loader: Loader, group: str, where: str | None) -> ConfigError:
@@ -213,7 +211,7 @@ def translate(error: Exception, loader: Loader, primary: str, overrides: Sequenc
     if found:
         return join(found)
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or _option_problems(loader, parsed)
+    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or list(_option_problems(loader, parsed))
     if found:
         return join(found)
     if isinstance(error, MissingConfigException):
