@@ -28,7 +28,7 @@ import torch
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import not_one_of
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of
 from wheelleg_exp.sim.actuators import DelayedPDActuator
@@ -109,9 +109,7 @@ class ChirpSimulation:
         self.scene = SceneManager(found, mjcf, num_envs).scene
         for joint, (mass, radius) in weights.items():
             if joint not in (known := self.scene.robot.joint_names):
-                nearest, expected = nearest_name(joint, known), "one of " + ", ".join(known)
-                message = f"the robot has no joint '{joint}'"
-                raise ConfigError(message, key="--weight", expected=expected, nearest=nearest)
+                raise not_one_of(f"the robot has no joint '{joint}'", joint, known, key="--weight")
             _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
         self.scene.play()
         self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])

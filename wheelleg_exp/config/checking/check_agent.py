@@ -7,11 +7,10 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.constraints import Count
-from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
+from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name, not_one_of
 from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
 from wheelleg_exp.terms import term_binding
 from wheelleg_exp.terms.config_sections import section_errors

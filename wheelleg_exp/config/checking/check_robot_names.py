@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
-from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.tree_lookup import at
-from wheelleg_exp.errors import AssetError, ConfigError
+from wheelleg_exp.errors import AssetError, ConfigError, not_one_of
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
 from wheelleg_exp.terms.key_syntax import dotted, split_path

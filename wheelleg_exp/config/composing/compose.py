@@ -281,9 +281,8 @@ def require_read(
         other = apply_overrides(after, [])
         parent = _parent(other, keys, text)
         old = parent.get(keys[-1], _ANOTHER_VALUE)
-        parent[keys[-1]] = (
-            {**(old or {}), _ANOTHER_VALUE: None} if old is None or isinstance(old, Mapping) else _ANOTHER_VALUE
-        )
+        is_section = old is None or isinstance(old, Mapping)
+        parent[keys[-1]] = {**(old or {}), _ANOTHER_VALUE: None} if is_section else _ANOTHER_VALUE
         if read(after) == read(tree) == read(other):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))

@@ -26,8 +26,8 @@ from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import Composed, compose, is_unread, override_texts, unread_setting
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
 from wheelleg_exp.config.composing.hydra_errors import translate, where_of
-from wheelleg_exp.config.config_errors import not_one_of, override_of, parts, raise_all
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.config.config_errors import override_of, parts, raise_all
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.packages import config_folder
 
 QUEUES = ("submitit_local", "submitit_slurm", "ray")
