@@ -28,7 +28,7 @@ from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.errors import AssetError
-from wheelleg_exp.lint.physics_check import RULES, examine, facts_rows
+from wheelleg_exp.lint.physics_check import RULES, examine
 from wheelleg_exp.lint.rule import Case, Finding
 from wheelleg_exp.managers import SceneManager
 
@@ -207,10 +207,6 @@ class Diagnosis:
             return f"{self.subject}: nothing to fix"
         finding = self.findings[0]
         return f"first: {finding.message}; {finding.hint}"
-
-    def facts(self) -> list[tuple[str, str, str]]:
-        """Return the robot's facts: name, value, unit."""
-        return facts_rows(self.case.facts)
 
     def document(self) -> dict[str, Any]:
         """Return the diagnosis for scripts."""

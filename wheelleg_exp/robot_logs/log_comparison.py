@@ -172,10 +172,9 @@ def clock_findings(log: RobotLog, step_dt: float) -> list[LogFinding]:
     step = float(np.median(np.diff(log.time)))
     if abs(step - step_dt) <= 0.1 * step_dt:
         return []
+    wrong = "the log's rows are not control steps"
     evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
-    return [
-        LogFinding("time", ("time",), "the log's rows are not control steps", evidence, "log each step, in s", step)
-    ]
+    return [LogFinding("time", ("time",), wrong, evidence, "log each step, in s", step)]
 
 
 def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
@@ -291,9 +290,8 @@ class _Search:
         self.starts = simulation.windows(log, _MANY)
         if len(self.starts) < _LEAST_WINDOWS:
             message = f"the log has only {len(self.starts)} gapless pieces of 0.1 s"
-            raise LogError(
-                message, key=str(log.path), expected=f"at least {_LEAST_WINDOWS}, rows one control step apart"
-            )
+            expected = f"at least {_LEAST_WINDOWS}, rows one control step apart"
+            raise LogError(message, key=str(log.path), expected=expected)
         logged = log.table(columns)
         motion = (logged[self.starts + simulation.length] - logged[self.starts]).std(axis=0)
         floors = np.array([_SMALLEST[column.split(".")[0]] for column in columns])

@@ -143,9 +143,8 @@ class ChirpSimulation:
         bodies = model.jnt_bodyid[joints]
         away = np.cross(data.subtree_com[bodies] - data.xanchor[joints], data.xaxis[joints])
         load = model.body_subtreemass[bodies] * np.linalg.norm(away, axis=1) * _GRAVITY
-        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * self.drives["effort_limit"].numpy()[
-            self.driven
-        ]
+        effort = self.drives["effort_limit"].numpy()[self.driven]
+        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * effort
 
     def play(self, values: Numbers, targets: torch.Tensor, start: torch.Tensor) -> Numbers:
         """Return positions, speeds, and efforts of N simulations after each control step, (T, N, 3, J).
@@ -401,13 +400,8 @@ class _Fit:
         """Return scipy's solution."""
         start = np.maximum(self.ratios(self.start), _FIRST)[self.free]
         limits = {"bounds": (self.low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
-        return optimize.least_squares(self.residuals, start, self.jacobian, ftol=1e-6, **limits)
-
-    def residuals(self, unknowns: Numbers) -> Numbers:
-        return self._evaluate(unknowns)[0]
-
-    def jacobian(self, unknowns: Numbers) -> Numbers:
-        return self._evaluate(unknowns)[1]
+        residuals, jacobian = (lambda x: self._evaluate(x)[0]), (lambda x: self._evaluate(x)[1])
+        return optimize.least_squares(residuals, start, jacobian, ftol=1e-6, **limits)
 
     def _evaluate(self, unknowns: Numbers) -> tuple[Numbers, Numbers]:
         """Return the residuals (n,) and their Jacobian (n, p) by forward differences, in one batch of simulations."""
