@@ -15,7 +15,7 @@ from scipy import stats
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation.metric_catalogue import LEVEL, Array, Metric, metrics_of, percentiles, resampled, worst
-from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.evaluation.result import Evaluation, plain
 from wheelleg_exp.managers.streams import stream_seed
 
 ALPHA = 0.05  # significance level
@@ -270,15 +270,6 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
     if len(digests) > 1:
         message = "evaluations of different scenarios cannot be compared: " + ", ".join(d[:12] for d in digests)
         raise RunDirectoryError(message, expected="the same protocol, numbers, and seed for all evaluations")
-
-
-def plain(value: Any) -> Any:
-    """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
-    if isinstance(value, Mapping):
-        return {key: plain(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:

@@ -295,6 +295,5 @@ def _self_collisions(robot: robots.CompiledRobot) -> list[str]:
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:
     """Return findings as rows of text: rule, key, place, message, hint, and source (or the reason of the silence)."""
-    return [
-        (f.rule, f.key, f.where or "", f.message, f.hint, (reasons or {}).get(f.rule) or known_by(f)) for f in findings
-    ]
+    known = reasons or {}
+    return [(f.rule, f.key, f.where or "", f.message, f.hint, known.get(f.rule) or known_by(f)) for f in findings]

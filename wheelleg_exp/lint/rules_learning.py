@@ -29,9 +29,7 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     """
     for term in case.terms("rewards", *tolerances.TRACKING):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
-        finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
-        if finding is not None:
-            yield finding
+        yield from _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
 
 
 @rule
@@ -56,12 +54,12 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
         yield Finding(key, message, hint, {"cost_per_s": cost, "earned_per_s": earned})
 
 
-def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
+def _moving(case: Case, term: TermView, std: float, size: float) -> Iterator[Finding]:
     unit, score, narrow = tolerances.UNITS[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
     if score < _STILL:
-        return None
+        return
     standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
-    return Finding(
+    yield Finding(
         f"{term.path}.std",
         f"with std {std:g} {unit} and commands in ±{size:g} {unit}, a robot that never moves earns {score:.2f} of the "
         f"reward ({score + standing * (1 - score):.2f} with {100 * standing:.0f} % standing commands)",
@@ -71,7 +69,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
     )
 
 
-def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
+def _drifting(case: Case, term: TermView, std: float) -> Iterator[Finding]:
     kind = tolerances.TRACKING[term.kind]
     unit = tolerances.UNITS[kind]
     # ``drift`` is the robot's speed (m/s) at a wheel action of 1; without wheel actions, a tenth of its top speed.
@@ -86,10 +84,10 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
         drift = 2 * drift / case.facts.track if case.facts.track else 0.0
     score = math.exp(-((drift / std) ** 2))
     if drift == 0.0 or score < _STILL:
-        return None
+        return
     off = "; its weight is 0 here" if float(term.node["weight"]) == 0.0 else ""
     narrow = at_most(drift)
-    return Finding(
+    yield Finding(
         f"{term.path}.std",
         f"only zero is commanded: standing still earns the whole reward, and with std {std:g} {unit} a drift of "
         f"{drift:.2g} {unit}, one unit of wheel action, still earns {score:.2f}{off}",

@@ -275,9 +275,8 @@ def instantiate_term(term: Term, env: Env) -> None:
             made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
 
-    term.made_by(
-        make, keeps_params=term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
-    )
+    keeps_params = term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
+    term.made_by(make, keeps_params)
 
 
 def build(value: Any, path: str) -> Any:

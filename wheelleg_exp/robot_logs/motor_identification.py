@@ -168,9 +168,8 @@ class ChirpSimulation:
         for step in range(len(held)):
             now, before = ((step - lag - k).clamp(min=0) for k in (0, 1))
             delayed = held[step].clone()
-            delayed[:, :, driven] = torch.lerp(
-                held[now, :, rows, columns], held[before, :, rows, columns], share[..., None]
-            ).movedim(-1, 0)
+            late_targets = torch.lerp(held[now, :, rows, columns], held[before, :, rows, columns], share[..., None])
+            delayed[:, :, driven] = late_targets.movedim(-1, 0)
             if step % self.decimation == 0:
                 robot.begin_control_step()
             robot.set_joint_position_target(delayed[0])
