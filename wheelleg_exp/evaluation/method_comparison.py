@@ -362,12 +362,9 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
     ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
-    text += (
-        f" {second[0].upper()}{second[1:]} can survive {' and '.join(ratios)}"
-        f" that the policies of '{first}' can survive."
-        if ratios
-        else ""
-    )
+    if ratios:
+        text += f" {second[0].upper()}{second[1:]} can survive {' and '.join(ratios)}"
+        text += f" that the policies of '{first}' can survive."
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
     tally = " and ".join(f"{word} in {count}" for count, word in counts if count)

@@ -148,14 +148,13 @@ def _below(path: str, node: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield from _below(key, value)
 
 
-def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
-    """Return an error if a training iteration has less than two samples, or fewer samples than minibatches."""
+def batch_errors(agent: Mapping[str, Any], num_envs: int) -> Iterator[ConfigError]:
+    """Yield an error if a training iteration has less than two samples, or fewer samples than minibatches."""
     samples = num_envs * int(agent["num_steps_per_env"])
     if samples < 2:  # PPO divides advantages by their standard deviation, which needs two samples.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"
-        return [ConfigError(message, key="agent.num_steps_per_env", expected=expected)]
-    if agent["algorithm"].get("num_mini_batches", 1) <= samples:
-        return []
-    expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
-    message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
-    return [ConfigError(message, key=key, expected=expected)]
+        yield ConfigError(message, key="agent.num_steps_per_env", expected=expected)
+    elif agent["algorithm"].get("num_mini_batches", 1) > samples:
+        expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
+        message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
+        yield ConfigError(message, key=key, expected=expected)

@@ -77,6 +77,7 @@ class Identified:
 
 
 Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
+Progress = Callable[[str], None] | None
 
 
 def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: float, radius: float) -> None:
@@ -203,7 +204,7 @@ def identify(
     env: Mapping[str, Any],
     mjcf: Path,
     weights: Mapping[str, Weight] = MappingProxyType({}),
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = None,
 ) -> Identified:
     """Identify the motors of the robot in an ``env`` config from a log of chirps.
 
@@ -321,12 +322,7 @@ def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shift
 
 
 def _first_fit(
-    simulation: ChirpSimulation,
-    pieces: _Pieces,
-    before: Numbers,
-    free: Numbers,
-    noise: Numbers,
-    progress: Callable[[str], None] | None,
+    simulation: ChirpSimulation, pieces: _Pieces, before: Numbers, free: Numbers, noise: Numbers, progress: Progress
 ) -> Numbers:
     """Return the parameters of the best of a few fits: joints that fit badly start again, with longer delays."""
     start, best, least = before, before, np.inf
@@ -351,6 +347,7 @@ def _scores(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, noise
     return float(before), float(after)
 
 
+@dataclass
 class _Fit:
     """One least-squares problem.
 
@@ -358,19 +355,17 @@ class _Fit:
     links) / K, both frictions / K, K, delay, and effort scale times K, each divided by its typical size.
     """
 
-    def __init__(
-        self,
-        simulation: ChirpSimulation,
-        pieces: _Pieces,
-        start: Numbers,
-        free: Numbers,
-        noise: Numbers,
-        progress: Callable[[str], None] | None,
-    ) -> None:
-        self.simulation, self.pieces, self.start, self.free = simulation, pieces, start, free
-        self.noise, self.progress = noise, progress
+    simulation: ChirpSimulation
+    pieces: _Pieces
+    start: Numbers
+    free: Numbers
+    noise: Numbers
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        simulation, start = self.simulation, self.start
         self.known: tuple[bytes, Numbers, Numbers] | None = None
-        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[free]
+        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[self.free]
         self.inertia = simulation.inertias()[0]
         ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clamp(max=1e3).numpy()[simulation.driven]
         inertia = self.inertia + np.maximum(start[:, 0], 1e-6)

@@ -43,7 +43,9 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
             errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
-    return errors or (batch_errors(agent, num_envs) if fits(num_envs, Count) else [])
+    if not errors and fits(num_envs, Count):
+        errors += batch_errors(agent, num_envs)
+    return errors
 
 
 def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:

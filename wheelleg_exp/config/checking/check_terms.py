@@ -184,31 +184,25 @@ def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
     ]
 
 
-def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
+def check_groups_in_use(config: Mapping[str, Any]) -> Iterator[ConfigError]:
     """Find observation groups that no neural network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
-        return []
+        return
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # If an observation group does not exist, another check reports this.
+        return  # If an observation group does not exist, another check reports this.
     if at(config, "agent.teacher") is not None:
         used |= set(groups)  # Distillation may keep the critic's observation groups, which no network reads.
-    unused = [
-        ConfigError(
-            f"no network reads the observation group '{name}'",
-            key=f"agent.obs_groups.{name}" if name in sets else "agent.obs_groups",
-            expected="every group in some network's list, or no such group",
-            nearest=nearest_name(str(name), [str(n) for n in used if n not in groups]),
-        )
-        for name, group in groups.items()
-        if name not in used and isinstance(group, Mapping) and "terms" in group
-    ]
-    return unused + [
-        ConfigError("the group has no terms", key=f"env.observations.{name}.terms", expected="at least one term")
-        for name, group in groups.items()
-        if isinstance(group, Mapping) and group.get("terms") == {}
-    ]
+    for name, group in groups.items():
+        if name not in used and isinstance(group, Mapping) and "terms" in group:
+            message, key = f"no network reads the observation group '{name}'", "agent.obs_groups"
+            expected = "every group in some network's list, or no such group"
+            yield ConfigError(message, key=f"{key}.{name}" if name in sets else key, expected=expected)
+    for name, group in groups.items():
+        if isinstance(group, Mapping) and group.get("terms") == {}:
+            key = f"env.observations.{name}.terms"
+            yield ConfigError("the group has no terms", key=key, expected="at least one term")
 
 
 def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
@@ -241,13 +235,11 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
     return [error for error in found if error is not None]
 
 
-def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake in the config key ``run.root`` if this path cannot be a folder."""
+def check_folders(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistake in the config key ``run.root`` if this path cannot be a folder."""
     root = at(config, "run.root")
-    if not isinstance(root, str):
-        return []
-    path = Path(root)
-    wrong = next((place for place in (path, *path.parents) if place.exists() and not place.is_dir()), None)
-    if wrong is None:
-        return []
-    return [ConfigError(f"'{wrong}' is a file", key="run.root", expected="a folder, or a path where one can be made")]
+    places = (Path(root), *Path(root).parents) if isinstance(root, str) else ()
+    wrong = next((place for place in places if place.exists() and not place.is_dir()), None)
+    if wrong is not None:
+        expected = "a folder, or a path where one can be made"
+        yield ConfigError(f"'{wrong}' is a file", key="run.root", expected=expected)

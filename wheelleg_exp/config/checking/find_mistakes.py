@@ -114,7 +114,7 @@ def check(composed: Composed) -> list[ConfigError]:
     found += list(lists.check_order(composed, files)) or lists.check_overwritten(composed)
     found += lists.check_listed_twice(files, composed)
     found += lists.unread_in_files(files, composed.primary)
-    found += check_terms.check_groups_in_use(config) + check_terms.check_folders(config)
+    found += [*check_terms.check_groups_in_use(config), *check_terms.check_folders(config)]
     found += _check_robot(config, composed.asset_roots)
     errors += [error for error in found if not follows_from(error, hidden)]
     # Add the place of the wrong value (file and line, or override) to each config error, and remove repeated errors.
@@ -186,10 +186,9 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
-        options = schema.options_of(path)
         node = at(config, path)
-        if options is not None and isinstance(node, Mapping) and schema.is_open(root, path):
-            errors += section_errors(path, node, options)
+        if isinstance(node, Mapping) and schema.is_open(root, path):
+            errors += section_errors(path, node, schema.options_of(path))
     errors += _check_observation_groups(config)
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)

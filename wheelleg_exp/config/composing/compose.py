@@ -130,11 +130,6 @@ class Composed:
             error.where = self.provenance.where(error.key)
 
     @property
-    def files(self) -> list[Path]:
-        """Return the paths of the config files from which Hydra composed the config."""
-        return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
-
-    @property
     def asset_roots(self) -> tuple[Path, ...]:
         """Return the folders in which ``paths.find_asset`` searches for the user's robot files."""
         return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
