@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
-from wheelleg_exp.cli.configs.check import report_mistakes
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
@@ -39,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if _names_a_file(args.overrides[0]):
         found = _of_file(args.overrides, args.config_dirs)
     else:
+        from wheelleg_exp.cli.configs.check import report_mistakes
         from wheelleg_exp.config.checking.find_mistakes import find_mistakes
         from wheelleg_exp.lint.diagnosis import diagnose_task
 

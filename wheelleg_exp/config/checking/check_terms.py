@@ -205,16 +205,14 @@ def check_groups_in_use(config: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield ConfigError("the group has no terms", key=key, expected="at least one term")
 
 
-def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
-    """Return the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
+def recorded_errors(ids: Any, count: Any) -> Iterator[ConfigError]:
+    """Yield the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
-        return []
-    if count < 1:
-        return []  # If env.num_envs is below 1, a separate type check reports this.
-    if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
-        return []
-    expected = f"at least one environment, each once, from 0 to {count - 1}"
-    return [ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)]
+        return
+    valid = ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids)
+    if count >= 1 and not valid:  # If env.num_envs is below 1, a separate type check reports this.
+        expected = f"at least one environment, each once, from 0 to {count - 1}"
+        yield ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)
 
 
 def require_recorded(config: Mapping[str, Any]) -> None:

@@ -201,7 +201,8 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
         elif isinstance(reason, str) and not reason.strip():
             errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
-    errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs) + check_terms.check_drawn(config)
+    errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
+    errors += check_terms.check_drawn(config)
     return errors + check_agent(config.get("agent"), groups, num_envs)
 
 

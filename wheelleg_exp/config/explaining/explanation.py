@@ -217,7 +217,7 @@ def _is_there(tree: Any, keys: Keys) -> bool:
 
 def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanation | None:
     path = dotted(keys)
-    term = key_slots.term_keys(keys)
+    term = next((keys[:n] for n in (3, 5) if key_slots.section_of(keys[:n]) is not None), None)
     if term is not None and dotted(term) in composed.removed_terms:
         source = composed.provenance[dotted(term)]
         inside = [s for s in source.shadowed if split_path(s.path)[: len(keys)] == keys]
