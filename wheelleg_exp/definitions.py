@@ -7,7 +7,7 @@ Commands, plots, reports, and documentation pages show each number with its labe
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -287,18 +287,17 @@ DRIVE = {
 }  # fmt: skip
 
 
-def drive_rows(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return table rows (label, value) about a session in which a user steers the robot."""
-    found = []
+def drive_rows(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield table rows (label, value) about a session in which a user steers the robot."""
     for key, definition in DRIVE.items():
         value = figures[key]
         unit = f" {definition.unit}" if definition.unit else ""
         if isinstance(value, Mapping):
-            found += [(f"{definition.label}: {name}", _number_text(part)) for name, part in value.items()]
-            found += [] if value or key != "falls" else [(definition.label, "never")]
+            yield from ((f"{definition.label}: {name}", _number_text(part)) for name, part in value.items())
+            if key == "falls" and not value:
+                yield definition.label, "never"
         else:
-            found.append((definition.label, _number_text(value) + unit))
-    return found
+            yield definition.label, _number_text(value) + unit
 
 
 def _number_text(value: float) -> str:
@@ -384,8 +383,3 @@ RECORDED = {
 def recorded_headings(table: str, *keys: str) -> tuple[str, ...]:
     """Return the column headings of a table of ``wheelleg inspect``, with units; by default, of all columns."""
     return tuple(RECORDED[table][key].heading for key in keys or RECORDED[table])
-
-
-def recorded_label(table: str, key: str) -> str:
-    """Return the label of the reported number ``key`` in a table of ``wheelleg inspect``."""
-    return RECORDED[table][key].label

@@ -127,3 +127,10 @@ def nearest_name(name: str, names: Iterable[str]) -> str | None:
     longer = sorted((other for other in listed if name.lower() in other.lower()), key=len)
     found = near or (longer if len(name) >= _LEAST_PART else [])
     return found[0] if found else None
+
+
+def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
+    """Return the error for an unknown name, which lists the valid names and suggests the most similar one."""
+    known = [str(valid) for valid in names]
+    expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)
+    return ConfigError(message, key=key, where=where, expected=expected, nearest=nearest)

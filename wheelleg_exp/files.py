@@ -258,11 +258,10 @@ def temporaries(folder: Path, *, deep: bool = False) -> list[Path]:
 
 def cut(path: Path, size: int) -> None:
     """Truncate a file to ``size`` bytes, and sync the file's content to the disk."""
-    if not path.exists():
-        return
-    with for_people(path):
-        os.truncate(path, size)
-    sync(path)
+    if path.exists():
+        with for_people(path):
+            os.truncate(path, size)
+            _fsync(path)
 
 
 def sync(path: Path) -> None:

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.composing.provenance import Provenance
-from wheelleg_exp.config.tree_lookup import build
-from wheelleg_exp.terms.key_syntax import split_path
+from wheelleg_exp.terms.key_syntax import Keys, split_path
 
 TARGETS = '''
 """Targets of the tests."""
@@ -186,3 +185,14 @@ def write(folder: Path, files: dict[str, str]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(textwrap.dedent(text).lstrip("\n"), encoding="utf-8")
     return folder
+
+
+def build(entries: dict[Keys, Any]) -> dict[str, Any]:
+    """Return the nested mapping that has given values at given key paths."""
+    tree: dict[str, Any] = {}
+    for keys, value in entries.items():
+        node = tree
+        for key in keys[:-1]:
+            node = node.setdefault(key, {})
+        node[keys[-1]] = value
+    return tree

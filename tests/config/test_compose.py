@@ -71,8 +71,9 @@ def test_a_task_of_the_user_extends_a_stock_task_and_its_files_are_known(compose
     config = composed("task=hop", config_dirs=[user])
     assert (list(config.config["env"]["rewards"]), config.config["task"]["name"]) == (["alive", "bounce"], "hop")
     assert config.asset_roots == (user.parent / "assets", user.parent)
-    assert {user / "reward" / "bounce.yaml", stock / "task" / "stand.yaml"} <= set(config.files)
-    assert stock / "reward" / "height.yaml" not in config.files
+    files = {loaded.file for loaded in config.loader.repository_used.loaded.values()}
+    assert {user / "reward" / "bounce.yaml", stock / "task" / "stand.yaml"} <= files
+    assert stock / "reward" / "height.yaml" not in files
 
 
 def test_composing_gives_what_hydra_gives(composed, stock):

@@ -11,7 +11,7 @@ import pytest
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import RobotFacts, measure
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.lint.physics_check import robot_facts
+from wheelleg_exp.lint.physics_check import task_robot
 from wheelleg_exp.managers import SceneManager
 
 # The robot is a bar of 2 kg, 0.4 m above an axle with two wheels of 0.5 kg. A hip at half the height carries a bob.
@@ -110,7 +110,7 @@ def test_the_pendulum_over_the_axle(facts):
 
 
 def test_the_stock_robot_has_its_published_figures():
-    found = robot_facts(compose())
+    _, found = task_robot(compose())
     assert (found.mass, found.standing_height) == (pytest.approx(0.5), pytest.approx(0.06995, abs=1e-5))
     assert (found.clearance, found.wheel_radius) == (pytest.approx(0.015, abs=1e-4), pytest.approx(0.02))
     assert (found.track, found.balance.mass) == (pytest.approx(0.112), pytest.approx(0.38))

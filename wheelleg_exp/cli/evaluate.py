@@ -103,11 +103,10 @@ def evaluated(
     args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
 ) -> Evaluated:
     """Evaluate the policy of one run, or load the run's stored evaluation if the option ``--kept`` is given."""
-    from wheelleg_exp.jobs.evaluate_policy import evaluate_run
+    from wheelleg_exp.jobs import evaluate_policy as jobs
 
     if args.kept:
         from wheelleg_exp.files import sha256
-        from wheelleg_exp.jobs import evaluate_policy as jobs
 
         tree = jobs.evaluation_settings(run, overrides, args.config_dirs)
         folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
@@ -116,7 +115,7 @@ def evaluated(
             return jobs.Evaluated(run, checkpoint, folder, found, content)
     from wheelleg_exp.inspection.evaluation_plots import draw
 
-    return evaluate_run(run, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
+    return jobs.evaluate_run(run, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
 
 
 def reference_of(

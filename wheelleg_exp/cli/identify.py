@@ -62,9 +62,8 @@ def run(args: argparse.Namespace) -> int:
         for p in found.parameters
     ]
     print_table(("joint", "parameter", args.robot, "identified", "95 % interval", "unit"), rows)
-    for what, (before, after), count in zip(
-        ("fitted", "held-out"), (found.fitted, found.held_out), found.pieces, strict=True
-    ):
+    scores = (found.fitted, found.held_out)
+    for what, (before, after), count in zip(("fitted", "held-out"), scores, found.pieces, strict=True):
         print(f"prediction error on {count} {what} chirps: {before:.3g} times the noise before, {after:.3g} after")
     print(f"wrote {shown(output)}")
     return EXIT_OK

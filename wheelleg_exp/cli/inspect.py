@@ -390,8 +390,9 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
 def _open(_: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.rerun_viewer import open_window
 
+    # The property ``recording`` reads the file, so that a damaged file raises an error before Rerun's viewer opens it.
     with suppress(KeyboardInterrupt):  # Ctrl-C closes the window of the Rerun viewer.
-        open_window(_readable(inspected))
+        open_window(inspected.recording.path)
     return Result({"closed": True}, lambda: None)
 
 
@@ -402,13 +403,8 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
         print(line, file=sys.stderr if args.json else sys.stdout, flush=True)
 
     with suppress(KeyboardInterrupt):
-        serve(_readable(inspected), say, port=args.port or 0, browser=not args.no_browser)
+        serve(inspected.recording.path, say, port=args.port or 0, browser=not args.no_browser)
     return Result({"closed": True}, lambda: None)
-
-
-def _readable(inspected: Inspected) -> Path:
-    """Read a recording, so that a damaged file raises an error before Rerun's viewer opens it; return the path."""
-    return Path(inspected.recording.path)
 
 
 def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:

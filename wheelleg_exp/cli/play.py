@@ -91,7 +91,7 @@ def _print(made: Drive) -> None:
     from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
 
     print(f"drove {shown(made.checkpoint)} without exploration noise")
-    print_table(("figure", "value"), drive_rows(made.figures))
+    print_table(("figure", "value"), list(drive_rows(made.figures)))
     run, scene = made.folder.parent.parent, made.figures["scene"]
     own = made.checkpoint.resolve().is_relative_to(run)
     words = ["play", shown(run), *made.figures["overrides"]]

@@ -1,11 +1,11 @@
-"""Join config errors, convert a config error to JSON, and list the valid alternatives to an unknown name."""
+"""Join config errors, and convert a config error to JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
+from wheelleg_exp.errors import ConfigError, WheellegError
 
 _OVERRIDE = "override "
 
@@ -27,13 +27,6 @@ class UnknownName(ConfigError):
 
 class AbsentKey(ConfigError):
     """An override sets or deletes a config key that does not exist."""
-
-
-def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
-    """Return the error for an unknown name, which lists the valid names and suggests the most similar one."""
-    known = [str(valid) for valid in names]
-    expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)
-    return ConfigError(message, key=key, where=where, expected=expected, nearest=nearest)
 
 
 def join(errors: Sequence[ConfigError]) -> ConfigError:

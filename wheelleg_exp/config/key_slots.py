@@ -111,11 +111,6 @@ def section_of(keys: Keys) -> str | None:
     return "observations" if observation else None
 
 
-def term_keys(keys: Keys) -> Keys | None:
-    """Return the key of the term that contains a key such as ``env.rewards.alive.weight``; None outside of terms."""
-    return next((keys[:n] for n in (3, 5) if section_of(keys[:n]) is not None), None)
-
-
 def named_section(section: str | None, name: str) -> str | None:
     """Return the config section of the term that a parameter names, such as ``commands`` for ``command_name``."""
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))

@@ -131,11 +131,8 @@ def is_open(root: type, path: str) -> bool:
     return "." in path or typing.get_type_hints(root).get(path) == Section
 
 
-def options_of(path: str) -> type | None:
-    """Return the dataclass that reads the config section at ``path``; None if ``OPTIONS`` lacks the section."""
-    name = OPTIONS.get(path)
-    if name is None:
-        return None
-    module, _, attribute = name.rpartition(".")
+def options_of(path: str) -> type:
+    """Return the dataclass that reads the config section at ``path``, which is a key of ``OPTIONS``."""
+    module, _, attribute = OPTIONS[path].rpartition(".")
     found: type = getattr(import_module(module), attribute)
     return found

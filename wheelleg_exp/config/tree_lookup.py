@@ -41,17 +41,6 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
             yield from node_paths(value, path)
 
 
-def build(entries: Mapping[Keys, Any]) -> dict[str, Any]:
-    """Return the nested mapping that has given values at given key paths."""
-    tree: dict[str, Any] = {}
-    for keys, value in entries.items():
-        node = tree
-        for key in keys[:-1]:
-            node = node.setdefault(key, {})
-        node[keys[-1]] = value
-    return tree
-
-
 def at(tree: Any, keys: Keys | str) -> Any:
     """Return the config node at a key path, which can contain list indices; None if the node does not exist."""
     for key in split_path(keys) if isinstance(keys, str) else keys:

@@ -51,9 +51,8 @@ class EnvAttributes:
         self._memory.require_apart()
         found = {}
         for name, item in vars(self._env).items():
-            if name in self._names and not (
-                _is_plain(name, item) and not saved_values.same(item, self._plain.get(name, NOTHING))
-            ):
+            is_changed = _is_plain(name, item) and not saved_values.same(item, self._plain.get(name, NOTHING))
+            if name in self._names and not is_changed:
                 continue
             try:
                 seen = snapshot(item, name)

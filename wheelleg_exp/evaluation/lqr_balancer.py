@@ -162,14 +162,13 @@ class Reference:
         self.gains = self.pendulum.gains(env.step_dt)
         self._k = torch.tensor(self.gains, dtype=torch.float32, device=device)
         names = [wheel.joint for wheel in wheels]
-        self._wheels = torch.tensor([robot.joint_names.index(name) for name in names], device=device)
+        ids = [robot.joint_names.index(name) for name in names]
+        self._wheels = torch.tensor(ids, device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
         # In a left turn, left wheels get a negative speed change and right wheels get a positive speed change.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
         # A wheel drive's bandwidth, 1/s, is its damping divided by its armature, but at most the control frequency.
-        robot = env.scene.robot
-        ids = [robot.joint_names.index(name) for name in names]
         damping = robot.data.default_joint_damping[0, ids].mean()
         armature = robot.data.default_joint_armature[0, ids].mean()
         most = 1.0 / env.step_dt

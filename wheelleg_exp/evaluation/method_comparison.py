@@ -15,7 +15,7 @@ from scipy import stats
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation.metric_catalogue import LEVEL, Array, Metric, metrics_of, percentiles, resampled, worst
-from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.evaluation.result import Evaluation, plain
 from wheelleg_exp.managers.streams import stream_seed
 
 ALPHA = 0.05  # significance level
@@ -272,15 +272,6 @@ def require_same_scenarios(evaluations: Sequence[Evaluation]) -> None:
         raise RunDirectoryError(message, expected="the same protocol, numbers, and seed for all evaluations")
 
 
-def plain(value: Any) -> Any:
-    """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
-    if isinstance(value, Mapping):
-        return {key: plain(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _shared(evaluations: Sequence[Evaluation]) -> list[Metric]:
     first = evaluations[0]
     shared = [name for name in first.episodes if all(name in one.episodes for one in evaluations)]
@@ -371,12 +362,9 @@ def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         word = f"{'better' if 'better' in outcomes else 'worse'} in some pushes, not in all, than"
     text = f"{first} is {word} {second}: it survives " + "; ".join(_limit(kind, row) for kind, row in limits) + "."
     ratios = [f"{row.second / row.first:.2g} times {_push(kind)}" for kind, row in limits if row.first]
-    text += (
-        f" {second[0].upper()}{second[1:]} can survive {' and '.join(ratios)}"
-        f" that the policies of '{first}' can survive."
-        if ratios
-        else ""
-    )
+    if ratios:
+        text += f" {second[0].upper()}{second[1:]} can survive {' and '.join(ratios)}"
+        text += f" that the policies of '{first}' can survive."
     single = [row for name, row in rows.items() if name.startswith(_LIMIT) and "°" in name]
     counts = [(len([row for row in single if row.outcome == word]), word) for word in ("better", "worse")]
     tally = " and ".join(f"{word} in {count}" for count, word in counts if count)

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 FORMAT = 1
+
+
+def plain(value: Any) -> Any:
+    """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True)
@@ -28,9 +37,7 @@ class Figure:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the metric as a dictionary for JSON, in which None replaces NaN and inf."""
-        values = {name: float(getattr(self, name)) for name in ("value", "low", "high")}
-        numbers = {name: value if math.isfinite(value) else None for name, value in values.items()}
-        return {**numbers, "episodes": self.episodes, "unit": self.unit, "better": self.better}
+        return {key: plain(value) for key, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)

@@ -89,10 +89,8 @@ def on_terrain(options: Terrain) -> Scenarios:
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
-    settings, cells = (
-        json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True),
-        ((command,),) * len(names),
-    )
+    settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
+    cells = ((command,),) * len(names)
     return Scenarios("terrain", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 

@@ -220,9 +220,7 @@ def mean(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
     """Average ``values`` (T, N, ...) over trailing axes and steps in the mask ``counted``, (N,); NaN without steps."""
     # Sum in float64, because a float32 sum over a long episode loses precision.
     flat = values.double().flatten(2).mean(dim=2) if values.dim() > 2 else values.double()
-    steps = counted.sum(dim=0)
-    total = torch.where(counted, flat, 0.0).sum(dim=0)
-    return torch.where(steps > 0, total / steps, torch.nan)
+    return total(flat, counted) / counted.sum(dim=0)
 
 
 def rms(values: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:

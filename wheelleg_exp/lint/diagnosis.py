@@ -28,7 +28,7 @@ from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.errors import AssetError
-from wheelleg_exp.lint.physics_check import RULES, examine, facts_rows
+from wheelleg_exp.lint.physics_check import RULES, examine
 from wheelleg_exp.lint.rule import Case, Finding
 from wheelleg_exp.managers import SceneManager
 
@@ -208,10 +208,6 @@ class Diagnosis:
         finding = self.findings[0]
         return f"first: {finding.message}; {finding.hint}"
 
-    def facts(self) -> list[tuple[str, str, str]]:
-        """Return the robot's facts: name, value, unit."""
-        return facts_rows(self.case.facts)
-
     def document(self) -> dict[str, Any]:
         """Return the diagnosis for scripts."""
         robot = self.case.robot
@@ -299,6 +295,5 @@ def _self_collisions(robot: robots.CompiledRobot) -> list[str]:
 
 def rows_of(findings: Sequence[Finding], reasons: Mapping[str, str] | None = None) -> list[tuple[str, ...]]:
     """Return findings as rows of text: rule, key, place, message, hint, and source (or the reason of the silence)."""
-    return [
-        (f.rule, f.key, f.where or "", f.message, f.hint, (reasons or {}).get(f.rule) or known_by(f)) for f in findings
-    ]
+    known = reasons or {}
+    return [(f.rule, f.key, f.where or "", f.message, f.hint, known.get(f.rule) or known_by(f)) for f in findings]

@@ -51,10 +51,6 @@ class PhysicsReport:
         found = {finding.rule for finding in self.findings}
         return [name for name in self.reasons if name not in found]
 
-    def facts_table(self) -> list[tuple[str, str, str]]:
-        """Return the rows of the table of the robot's facts: name, value, unit."""
-        return facts_rows(self.case.facts)
-
     def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
         """Return each reward: name, weight, tolerance, per step, per episode, share of a perfect robot's reward."""
         found = contributions(self.case)
@@ -95,11 +91,6 @@ def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
     with suppress(OSError, ValueError):
         report = Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
     return compiled_robot(scene.spec.compile(), scene.robot, report)
-
-
-def robot_facts(composed: Composed) -> RobotFacts:
-    """Return the measured masses, sizes, joints, and balance of the robot in a config."""
-    return task_robot(composed)[1]
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:

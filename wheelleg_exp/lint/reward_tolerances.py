@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from wheelleg_exp.lint.rule import Case, TermView, largest
@@ -18,6 +18,7 @@ TRACKING = {
     "rewards.track_ang_vel_z_exp": "ang",
     "rewards.track_ang_vel_z_world_exp": "ang",
 }
+UNITS = {"lin": "m/s", "ang": "rad/s"}
 HEIGHTS = ("rewards.base_height_l2", "rewards.base_height_over_ground_l2")
 FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
 CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
@@ -70,12 +71,11 @@ def _contribution(case: Case, term: TermView) -> Contribution:
     if term.kind in FAILURES:
         return Contribution(term, weight, "one failure", 1.0, 1.0, once=True)
     if term.kind in TRACKING:
-        unit = "m/s" if TRACKING[term.kind] == "lin" else "rad/s"
         error = SHARE * command_size(case, term)
         if error == 0.0:
             return Contribution(term, weight, "no error: nothing is commanded", 1.0)
         value = _bell(error, term)
-        text = f"{error:.3g} {unit}, a tenth of the command"
+        text = f"{error:.3g} {UNITS[TRACKING[term.kind]]}, a tenth of the command"
         return Contribution(term, weight, text, value, 1.0 - value)
     if term.kind in _KERNELS:
         text, square = _KERNELS[term.kind](case, term)
@@ -172,8 +172,3 @@ _SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
     "rewards.action_acceleration_l2": _action_rate,
     **dict.fromkeys(CONTACTS, lambda _case, _term: ("one body", 1.0)),
 }
-
-
-def tracked(case: Case) -> Iterator[TermView]:
-    """Yield the reward terms that reward the robot for following a command."""
-    yield from case.terms("rewards", *TRACKING)

@@ -16,9 +16,6 @@ from wheelleg_exp.lint.reward_tolerances import HEIGHTS
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below, largest, rule
 from wheelleg_exp.lint.rules_drives import wheel_friction
 
-_SCALES = ("events.reset_joints_by_scale",)
-_CUMULATIVE = ("events.randomize_rigid_body_com_cumulative",)
-_MATERIAL = ("events.randomize_rigid_body_material",)
 _REPEATED = ("reset", "interval")
 # The ranges ``resampling_time_range`` and ``restitution_range`` may have equal lower and upper bounds.
 _FIXED = ("resampling_time_range", "restitution_range")
@@ -30,7 +27,7 @@ def noop_joint_reset(case: Case) -> Iterator[Finding]:
 
     Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``reset_joints_by_scale``.
     """
-    for term in case.terms("events", *_SCALES):
+    for term in case.terms("events", "events.reset_joints_by_scale"):
         joints = case.joints(term.node)
         for name, zeros in (
             ("position_range", [j for j, facts in joints.items() if facts.default == 0.0]),
@@ -108,7 +105,7 @@ def cumulative_randomisation(case: Case) -> Iterator[Finding]:
     After n random offsets, each uniform in ±d, the centre of mass has a standard deviation of d sqrt(n / 3). Source:
     Isaac Lab 2.3.2, ``isaaclab/envs/mdp/events.py``, ``randomize_rigid_body_com``.
     """
-    for term in case.terms("events", *_CUMULATIVE):
+    for term in case.terms("events", "events.randomize_rigid_body_com_cumulative"):
         if term.node.get("mode") not in _REPEATED:
             continue
         width = max((abs(float(v)) for pair in term.node["com_range"].values() for v in pair), default=0.0)
@@ -129,7 +126,7 @@ def noop_restitution(case: Case) -> Iterator[Finding]:
 
     MuJoCo's soft contacts have no coefficient of restitution. Source: MuJoCo documentation, Computation, "Contact".
     """
-    for term in case.terms("events", *_MATERIAL):
+    for term in case.terms("events", "events.randomize_rigid_body_material"):
         low, high = term.node["restitution_range"]
         if low != high:
             key = f"{term.path}.restitution_range"

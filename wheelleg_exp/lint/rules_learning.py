@@ -12,7 +12,6 @@ from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_
 _AUDIBLE = 0.01  # An error as large as a reward term's tolerance should cost at least 1 % of the total best reward.
 _OUTWEIGHS = 4.0  # A penalty above four times the sum of all positive rewards is implausible.
 _STILL = 0.5  # A robot at rest should earn less than 50 % of a tracking reward.
-_UNIT = {"lin": "m/s", "ang": "rad/s"}
 
 
 def still_score(speed: float, std: float) -> float:
@@ -28,11 +27,9 @@ def tracking_std(case: Case) -> Iterator[Finding]:
     exp(-error²/std²). If all commands are zero, a robot that drifts with a wheel action of 1 must earn less than half
     of the tracking reward. Source: the integral of exp(-error²/std²) over the commands.
     """
-    for term in tolerances.tracked(case):
+    for term in case.terms("rewards", *tolerances.TRACKING):
         std, size = float(term.node["std"]), tolerances.command_size(case, term)
-        finding = _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
-        if finding is not None:
-            yield finding
+        yield from _moving(case, term, std, size) if size > 0.0 else _drifting(case, term, std)
 
 
 @rule
@@ -57,12 +54,12 @@ def reward_outweighs(case: Case) -> Iterator[Finding]:
         yield Finding(key, message, hint, {"cost_per_s": cost, "earned_per_s": earned})
 
 
-def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | None:
-    unit, score, narrow = _UNIT[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
+def _moving(case: Case, term: TermView, std: float, size: float) -> Iterator[Finding]:
+    unit, score, narrow = tolerances.UNITS[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
     if score < _STILL:
-        return None
+        return
     standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
-    return Finding(
+    yield Finding(
         f"{term.path}.std",
         f"with std {std:g} {unit} and commands in ±{size:g} {unit}, a robot that never moves earns {score:.2f} of the "
         f"reward ({score + standing * (1 - score):.2f} with {100 * standing:.0f} % standing commands)",
@@ -72,8 +69,9 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Finding | No
     )
 
 
-def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
+def _drifting(case: Case, term: TermView, std: float) -> Iterator[Finding]:
     kind = tolerances.TRACKING[term.kind]
+    unit = tolerances.UNITS[kind]
     # ``drift`` is the robot's speed (m/s) at a wheel action of 1; without wheel actions, a tenth of its top speed.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
@@ -86,14 +84,14 @@ def _drifting(case: Case, term: TermView, std: float) -> Finding | None:
         drift = 2 * drift / case.facts.track if case.facts.track else 0.0
     score = math.exp(-((drift / std) ** 2))
     if drift == 0.0 or score < _STILL:
-        return None
+        return
     off = "; its weight is 0 here" if float(term.node["weight"]) == 0.0 else ""
     narrow = at_most(drift)
-    return Finding(
+    yield Finding(
         f"{term.path}.std",
-        f"only zero is commanded: standing still earns the whole reward, and with std {std:g} {_UNIT[kind]} a drift of "
-        f"{drift:.2g} {_UNIT[kind]}, one unit of wheel action, still earns {score:.2f}{off}",
-        f"a std near {narrow:g} {_UNIT[kind]} or below",
+        f"only zero is commanded: standing still earns the whole reward, and with std {std:g} {unit} a drift of "
+        f"{drift:.2g} {unit}, one unit of wheel action, still earns {score:.2f}{off}",
+        f"a std near {narrow:g} {unit} or below",
         {"std": std, "range": 0.0, "drift": drift, "still": 1.0, "drifting": score},
         ({f"{term.path}.std": narrow},),
     )

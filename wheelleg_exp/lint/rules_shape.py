@@ -307,7 +307,6 @@ def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
         )
     else:
         yield from _centres(robot, one, other, max(masses))
-    model = robot.model
     left_id, right_id = (model.joint(name).id for name in (pair.left, pair.right))
     if not (model.jnt_limited[left_id] and model.jnt_limited[right_id]):
         return

@@ -72,9 +72,8 @@ class EventManager(ManagerBase):
         user-defined event mode without event terms causes a warning.
         """
         if mode == "interval":
-            raise ValueError(
-                "apply() cannot run events of the mode 'interval', which step() runs when their timers expire"
-            )
+            message = "apply() cannot run events of the mode 'interval', which step() runs when their timers expire"
+            raise ValueError(message)
         if mode not in (*EVENT_MODES, *self._modes):
             nearest = nearest_name(mode, self._modes)
             hint = f"; did you mean '{nearest}'?" if nearest else ""

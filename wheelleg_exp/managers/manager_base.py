@@ -275,9 +275,8 @@ def instantiate_term(term: Term, env: Env) -> None:
             made_object: TermBase = cast(Any, kind)(env=env, **arguments)
         return made_object
 
-    term.made_by(
-        make, keeps_params=term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
-    )
+    keeps_params = term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
+    term.made_by(make, keeps_params)
 
 
 def build(value: Any, path: str) -> Any:
@@ -377,17 +376,13 @@ class ManagerBase(OfEnv, Kept):
         for key, name in self.saved_tensors.items():
             getattr(self, name).copy_(saved[key])
 
-    @property
-    def remembers(self) -> bool:
-        """Whether a term overrides ``reset``."""
-        return any(_remembers(term.func) for term in self._terms.values())
-
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
-            remembers: Any = term.func
-            if name not in but and _remembers(remembers):
+            func: Any = term.func
+            remembers = isinstance(func, TermBase) and type(func).reset is not TermBase.reset
+            if name not in but and remembers:
                 with term.blamed():
-                    remembers.reset(env_ids)
+                    func.reset(env_ids)
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
         """Return the cells of one term for the ``columns`` that a manager adds to its printed table of terms."""
@@ -398,10 +393,6 @@ class ManagerBase(OfEnv, Kept):
         cells = [(t.name, *self._cells(t), t.target.rsplit(".", 1)[-1]) for t in self.bound_terms]
         rows = [(i, *row) for i, row in enumerate(cells)]
         return table(f"{self.kind.capitalize()}: {len(rows)}", ("index", "name", *self.columns, "term"), rows)
-
-
-def _remembers(func: Any) -> bool:
-    return isinstance(func, TermBase) and type(func).reset is not TermBase.reset
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:

@@ -82,7 +82,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
     """
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
-    if may_fail([env.scene.sim.total(rows), *(_rows(values, ids).sum() for values in written.values())]):
+    if may_fail([env.scene.sim.total(rows), *(values[rows].sum() for values in written.values())]):
         written = {**env.scene.motion(), **written}
         before = set(ids_where(env.scene.unstable()).tolist())  # Do not blame the event for earlier failures.
         for name, values in written.items():
@@ -91,10 +91,6 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
             if bad:
                 found = torch.tensor(sorted(bad), device=env.device)
                 raise failure(env, path, f"the event wrote numbers that are not finite into {name}", found)
-
-
-def _rows(values: torch.Tensor, ids: torch.Tensor | None) -> torch.Tensor:
-    return values if ids is None else values.index_select(0, ids)
 
 
 def note_observations(env: Env) -> None:

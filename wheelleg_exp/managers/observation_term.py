@@ -253,9 +253,8 @@ class GroupLayout:
             lengths = {term.history_length for term in terms.values()}
             if not (plain and len(lengths) == 1 and lengths != {0} and options.concatenate_terms):
                 message, key = "the histories of the terms cannot be ordered by step", f"{path}.history_order"
-                expected = (
-                    "concatenate_terms and flatten_history_dim true, and one history_length of at least 1 for vectors"
-                )
+                expected = "concatenate_terms and flatten_history_dim true, "
+                expected += "and one history_length of at least 1 for vectors"
                 raise ConfigError(message, key=key, expected=expected)
         if not self.concatenated:
             self.shape: tuple[int, ...] | list[tuple[int, ...]] = list(shapes.values())

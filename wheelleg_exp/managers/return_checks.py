@@ -122,7 +122,6 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
     return TensorForm(rows, device, torch.get_default_dtype(), width=0, what="row of numbers", deep=deep)
 
 
-@dataclass
 class NoForm:
     """Requires that a term returns None, as event terms do."""
 
@@ -137,7 +136,6 @@ class NoForm:
             raise ConfigError(message, expected="no return value")
 
 
-@dataclass
 class FiguresForm:
     """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 import torch
 
 from wheelleg_exp.constraints import Interval, Names
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.terms.config_values import require_fit
@@ -129,8 +129,7 @@ class SceneEntityCfg:
 def member(scene: Scene, name: str, key: str) -> Any:
     """Return a robot or sensor of the scene by name; raise ConfigError with ``key`` if the name does not exist."""
     if name not in list(scene):
-        known, nearest = "one of " + ", ".join(scene), nearest_name(name, scene)
-        raise ConfigError(f"the scene has no robot or sensor '{name}'", key=key, expected=known, nearest=nearest)
+        raise not_one_of(f"the scene has no robot or sensor '{name}'", name, scene, key=key)
     return scene[name]
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
 
 JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
@@ -41,8 +41,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
             raise ConfigError("the regular expression matches no joint", key=key, expected=expected, nearest=nearest)
         for match, other in zip(matches, images, strict=True):
             if other not in names:
-                expected, nearest = "one of " + ", ".join(names), nearest_name(other, names)
-                raise ConfigError(f"the robot has no joint '{other}'", key=key, expected=expected, nearest=nearest)
+                raise not_one_of(f"the robot has no joint '{other}'", other, names, key=key)
             one, two = names.index(match.string), names.index(other)
             found[one], found[two] = two, one
     return found

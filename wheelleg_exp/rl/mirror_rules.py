@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl.mirror_pairs import MIRROR, BodyImages
 from wheelleg_exp.sim import rotation
@@ -85,8 +85,7 @@ COMMAND_RULES: Mapping[str, str] = {
 
 def unknown_rule_error(rule: str, term: str) -> ConfigError:
     """Return the error for an unknown name of a mirror rule in ``agent.symmetry.terms``."""
-    expected, nearest = "one of " + ", ".join(RULE_NAMES), nearest_name(rule, RULE_NAMES)
-    return ConfigError(f"'{rule}' is not a mirror rule", key=f"{RULES_KEY}.{term}", expected=expected, nearest=nearest)
+    return not_one_of(f"'{rule}' is not a mirror rule", rule, RULE_NAMES, key=f"{RULES_KEY}.{term}")
 
 
 SignedSources = list[tuple[int, float]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -127,39 +127,34 @@ PARAMETERS: dict[str, Any] = {
 
 def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
     """Raise ConfigError for the first invalid value in the config section ``agent``."""
-    errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
+    errors = [*section_errors("agent", agent, agent_options(agent)), *parameter_errors(agent)]
     for error in errors or batch_errors(agent, num_envs):
         raise error
 
 
-def parameter_errors(agent: Mapping[str, Any]) -> list[ConfigError]:
-    """Return an error for each invalid value of rsl_rl's parameters."""
-    errors: list[ConfigError] = []
+def parameter_errors(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield an error for each invalid value of rsl_rl's parameters."""
     for name, section in agent.items():
         if isinstance(section, Mapping) and name != "obs_groups":
-            errors += _below(below("agent", str(name)), section)
-    return errors
+            yield from _below(below("agent", str(name)), section)
 
 
-def _below(path: str, node: Mapping[str, Any]) -> list[ConfigError]:
-    errors = []
+def _below(path: str, node: Mapping[str, Any]) -> Iterator[ConfigError]:
     for name, value in node.items():
         key = below(path, str(name))
         if name in PARAMETERS:
-            errors += value_errors(key, value, PARAMETERS[name])
+            yield from value_errors(key, value, PARAMETERS[name])
         elif isinstance(value, Mapping):
-            errors += _below(key, value)
-    return errors
+            yield from _below(key, value)
 
 
-def batch_errors(agent: Mapping[str, Any], num_envs: int) -> list[ConfigError]:
-    """Return an error if a training iteration has less than two samples, or fewer samples than minibatches."""
+def batch_errors(agent: Mapping[str, Any], num_envs: int) -> Iterator[ConfigError]:
+    """Yield an error if a training iteration has less than two samples, or fewer samples than minibatches."""
     samples = num_envs * int(agent["num_steps_per_env"])
     if samples < 2:  # PPO divides advantages by their standard deviation, which needs two samples.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"
-        return [ConfigError(message, key="agent.num_steps_per_env", expected=expected)]
-    if agent["algorithm"].get("num_mini_batches", 1) <= samples:
-        return []
-    expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
-    message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
-    return [ConfigError(message, key=key, expected=expected)]
+        yield ConfigError(message, key="agent.num_steps_per_env", expected=expected)
+    elif agent["algorithm"].get("num_mini_batches", 1) > samples:
+        expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
+        message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
+        yield ConfigError(message, key=key, expected=expected)

@@ -148,10 +148,8 @@ class CapturedUpdate:
         """Return the tensors' memory addresses, which can change when a checkpoint is loaded."""
         algorithm, storage = self._algorithm, self._algorithm.storage
         states = [v for state in algorithm.optimizer.state.values() for v in state.values()]
-        networks = (algorithm.actor, algorithm.critic)
-        parameters = [v for network in networks for v in (*network.parameters(), *network.buffers())]
-        extras = [storage.returns, storage.values, *(storage.distribution_params or ())]
-        return tuple(v.data_ptr() for v in (*states, *parameters, *extras) if isinstance(v, torch.Tensor))
+        extras = [*states, storage.returns, storage.values, *(storage.distribution_params or ())]
+        return (*_addresses(algorithm), *(v.data_ptr() for v in extras if isinstance(v, torch.Tensor)))
 
     def _minibatch(self) -> None:
         algorithm, storage, rows = self._algorithm, self._algorithm.storage, self._rows
@@ -228,7 +226,7 @@ class CapturedActing:
         """Return actions (N, A) for ``observations``, a mapping from observation groups to tensors."""
         algorithm = self._algorithm
         if algorithm.storage.step == 0:
-            if self._acted and self._captured != self._memory():
+            if self._acted and self._captured != _addresses(algorithm):
                 self._capture(observations)
             self._acted = True
         if self._graph is None:
@@ -250,7 +248,7 @@ class CapturedActing:
         self._graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
             self._found = self._computed()
-        self._captured = self._memory()
+        self._captured = _addresses(self._algorithm)
 
     def _computed(self) -> dict[str, Any]:
         """Return the data that rsl_rl's ``PPO.act`` stores for the policy update.
@@ -265,6 +263,7 @@ class CapturedActing:
         found["actions_log_prob"] = actor.get_output_log_prob(actions)
         return {**found, "distribution_params": tuple(actor.output_distribution_params)}
 
-    def _memory(self) -> tuple[int, ...]:
-        networks = (self._algorithm.actor, self._algorithm.critic)
-        return tuple(v.data_ptr() for network in networks for v in (*network.parameters(), *network.buffers()))
+
+def _addresses(algorithm: PPO) -> tuple[int, ...]:
+    networks = (algorithm.actor, algorithm.critic)
+    return tuple(v.data_ptr() for network in networks for v in (*network.parameters(), *network.buffers()))

@@ -218,11 +218,9 @@ class Ranks:
                 raise mine
             facts = dict(found["error"])
             message, failed = f"{facts.pop('message')} [in process {rank}]", facts.pop("failed")
-            raise (
-                SimulationFailure(message, evidence=found["evidence"], **facts)
-                if failed
-                else ConfigError(message, **facts)
-            )
+            if failed:
+                raise SimulationFailure(message, evidence=found["evidence"], **facts)
+            raise ConfigError(message, **facts)
 
     def require_equal(self, values: Mapping[str, str]) -> None:
         """Raise ConfigError if the hashes of config files, given by name, differ between processes (ranks)."""

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.rl import mirror_rules
 from wheelleg_exp.rl.mirror_pairs import JOINT_PAIRS_KEY, joint_images, joint_signs
@@ -38,9 +38,8 @@ class Mirror:
         names = dict.fromkeys(name for group in groups for name in manager.terms(group))
         for name, rule in self._options.terms.items():
             if name not in names:
-                key, message = f"{mirror_rules.RULES_KEY}.{name}", "no network sees such an observation"
-                expected, nearest = "one of " + ", ".join(names), nearest_name(name, names)
-                raise ConfigError(message, key=key, expected=expected, nearest=nearest)
+                message = "no network sees such an observation"
+                raise not_one_of(message, name, names, key=f"{mirror_rules.RULES_KEY}.{name}")
             if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
                 raise mirror_rules.unknown_rule_error(rule, name)
         robot = env.scene.robot

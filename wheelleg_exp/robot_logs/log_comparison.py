@@ -10,7 +10,7 @@ if its score is high enough; the search is then repeated with the log explained 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,7 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     columns = channels(names)
     logged = log.table(columns)
     findings += clock_findings(log, policy.spec["step_dt"])
-    findings += held_findings(log, columns) + noise_findings(log, columns)
+    findings += [*held_findings(log, columns), *noise_findings(log, columns)]
     if any(finding.kind in ("time", "stale") for finding in findings):
         # A simulation from readings of the wrong time would blame the wrong column.
         difference, _ = replay_difference(log, policy, logged)
@@ -159,28 +159,24 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
         exchanged = upright[1] > 0.5 and (upright[0] < 0.5 or errors[1] < 0.7 * errors[0])
         columns |= dict(zip(gravity, orders[exchanged].T.astype(np.float64), strict=True))
         if exchanged:
-            evidence = (
-                f"the gravity of (x, y, z, w) points down by {upright[1]:.3f}, that of (w, x, y, z) by {upright[0]:.3f}"
-            )
+            evidence = f"the gravity of (x, y, z, w) points down by {upright[1]:.3f}, "
+            evidence += f"that of (w, x, y, z) by {upright[0]:.3f}"
             wrong, change = "the quaternion base_quat is in the order (x, y, z, w)", "reorder base_quat to (w, x, y, z)"
             findings.append(LogFinding("order", tuple(quaternion), wrong, evidence, change))
     return RobotLog(log.path, columns), findings
 
 
-def clock_findings(log: RobotLog, step_dt: float) -> list[LogFinding]:
-    """Return a finding if the typical time between rows is not the control step."""
+def clock_findings(log: RobotLog, step_dt: float) -> Iterator[LogFinding]:
+    """Yield a finding if the typical time between rows is not the control step."""
     step = float(np.median(np.diff(log.time)))
-    if abs(step - step_dt) <= 0.1 * step_dt:
-        return []
-    evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
-    return [
-        LogFinding("time", ("time",), "the log's rows are not control steps", evidence, "log each step, in s", step)
-    ]
+    if abs(step - step_dt) > 0.1 * step_dt:
+        wrong = "the log's rows are not control steps"
+        evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
+        yield LogFinding("time", ("time",), wrong, evidence, "log each step, in s", step)
 
 
-def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
-    """Return a finding for each sensor that repeats its values although it moves by much more than its resolution."""
-    findings = []
+def held_findings(log: RobotLog, columns: Sequence[str]) -> Iterator[LogFinding]:
+    """Yield a finding for each sensor that repeats its values although it moves by much more than its resolution."""
     for reading in dict.fromkeys(column.split(".")[0] for column in columns):
         parts = [column for column in columns if column.startswith(f"{reading}.")]
         sensors = [(part,) for part in parts] if reading.startswith("joint_") else [tuple(parts)]
@@ -199,13 +195,12 @@ def held_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
                 wrong = f"{' '.join(sensor)} {'repeats' if len(sensor) == 1 else 'repeat'} old values"
                 evidence = f"{stale} of {len(log)} rows repeat the row before, {held.max()} in succession"
                 change_ = "read the sensor in each control step, and treat old values as missing"
-                findings.append(LogFinding("stale", sensor, wrong, evidence, change_, float(stale / len(change))))
-    return findings
+                yield LogFinding("stale", sensor, wrong, evidence, change_, float(stale / len(change)))
 
 
-def noise_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
-    """Return a finding for each column with more noise than ordinary sensors, or than the other columns of its kind."""
-    findings, noise = [], dict(zip(columns, noise_of(log.table(columns)), strict=True))
+def noise_findings(log: RobotLog, columns: Sequence[str]) -> Iterator[LogFinding]:
+    """Yield a finding for each column with more noise than ordinary sensors, or than the other columns of its kind."""
+    noise = dict(zip(columns, noise_of(log.table(columns)), strict=True))
     for column, level in noise.items():
         reading = column.split(".")[0]
         alike = float(np.median([noise[other] for other in columns if other.split(".")[0] == reading]))
@@ -214,8 +209,7 @@ def noise_findings(log: RobotLog, columns: Sequence[str]) -> list[LogFinding]:
         if level > 1.5 * _NOISE[reading] * scale or exceeds:
             evidence = f"its noise is {level:.3g} (standard deviation); similar columns have {alike:.3g}"
             change = "check the sensor, its wiring and its filter, or train with this noise"
-            findings.append(LogFinding("noise", (column,), f"{column} is noisy", evidence, change, float(level)))
-    return findings
+            yield LogFinding("noise", (column,), f"{column} is noisy", evidence, change, float(level))
 
 
 def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[float, str]:
@@ -291,9 +285,8 @@ class _Search:
         self.starts = simulation.windows(log, _MANY)
         if len(self.starts) < _LEAST_WINDOWS:
             message = f"the log has only {len(self.starts)} gapless pieces of 0.1 s"
-            raise LogError(
-                message, key=str(log.path), expected=f"at least {_LEAST_WINDOWS}, rows one control step apart"
-            )
+            expected = f"at least {_LEAST_WINDOWS}, rows one control step apart"
+            raise LogError(message, key=str(log.path), expected=expected)
         logged = log.table(columns)
         motion = (logged[self.starts + simulation.length] - logged[self.starts]).std(axis=0)
         floors = np.array([_SMALLEST[column.split(".")[0]] for column in columns])

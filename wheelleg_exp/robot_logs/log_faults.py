@@ -98,7 +98,7 @@ def possible_faults(
             wrong, change = f"the readings {reading} are in {unit}", f"convert {reading} to {_SI[reading]}"
             yield Fault("unit", tuple(columns), wrong, change, make.scaled(columns), factor)
     gyro, gravity = imu["base_ang_vel"], imu["projected_gravity"]
-    yield from _scales(make, gyro, "the gyroscope", _SCALES)
+    yield from _scales(make, gyro, "the gyroscope")
     for column, values in [(c, _RATES) for c in gyro] + [(c, _TILTS) for c in gravity[:2]]:
         what = "the gyroscope has a bias" if column in gyro else "the IMU is tilted, or gravity has an offset"
         change = f"subtract {{value:.3g}} from {column}, or calibrate the IMU"
@@ -144,7 +144,7 @@ def _joint_faults(
             wrong, change = f"{' and '.join(columns)} have the wrong sign", f"multiply {' and '.join(columns)} by -1"
             yield Fault("sign", columns, wrong, change, make.scaled(columns), -1.0)
             if len(columns) == 1:
-                yield from _scales(make, columns, columns[0], _SCALES)
+                yield from _scales(make, columns, columns[0])
         if name not in rolling:
             column = f"joint_pos.{name}"
             wrong = f"the encoder of {name} reads {{value:+.3g}} rad too much"
@@ -161,8 +161,8 @@ def _joint_faults(
             yield Fault("order", columns, wrong, f"exchange {what} of {one} and {other}", model)
 
 
-def _scales(make: _Maker, columns: Sequence[str], what: str, values: Sequence[float]) -> Iterator[Fault]:
-    for value in values:
+def _scales(make: _Maker, columns: Sequence[str], what: str) -> Iterator[Fault]:
+    for value in _SCALES:
         wrong, change = f"{what} reads {{value:.3g}} times the true value", f"divide {what} by {{value:.3g}}"
         yield Fault("scale", tuple(columns), wrong, change, make.scaled(columns), value, True, 1.0, 0.05)
 

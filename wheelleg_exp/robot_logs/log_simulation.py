@@ -116,9 +116,8 @@ class LogSimulation:
         broken = started | ~log.accepted
         ends = np.arange(length, len(log) - MOST_LAG, length)
         whole = [end for end in ends if not broken[end - length + 1 : end + MOST_LAG].any()]
-        rows = np.array(
-            [end - length for end in whole if np.isfinite(logged[end - length : end + MOST_LAG]).all()], int
-        )
+        starts = [end - length for end in whole if np.isfinite(logged[end - length : end + MOST_LAG]).all()]
+        rows = np.array(starts, int)
         motion = np.abs(logged[rows + length] - logged[rows]) / np.maximum(logged.std(axis=0), 1e-9)
         return np.sort(rows[np.argsort(-motion.sum(axis=1))[:most]])
 

@@ -28,7 +28,7 @@ import torch
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import not_one_of
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of
 from wheelleg_exp.sim.actuators import DelayedPDActuator
@@ -77,6 +77,7 @@ class Identified:
 
 
 Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
+Progress = Callable[[str], None] | None
 
 
 def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: float, radius: float) -> None:
@@ -109,9 +110,7 @@ class ChirpSimulation:
         self.scene = SceneManager(found, mjcf, num_envs).scene
         for joint, (mass, radius) in weights.items():
             if joint not in (known := self.scene.robot.joint_names):
-                nearest, expected = nearest_name(joint, known), "one of " + ", ".join(known)
-                message = f"the robot has no joint '{joint}'"
-                raise ConfigError(message, key="--weight", expected=expected, nearest=nearest)
+                raise not_one_of(f"the robot has no joint '{joint}'", joint, known, key="--weight")
             _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
         self.scene.play()
         self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])
@@ -145,9 +144,8 @@ class ChirpSimulation:
         bodies = model.jnt_bodyid[joints]
         away = np.cross(data.subtree_com[bodies] - data.xanchor[joints], data.xaxis[joints])
         load = model.body_subtreemass[bodies] * np.linalg.norm(away, axis=1) * _GRAVITY
-        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * self.drives["effort_limit"].numpy()[
-            self.driven
-        ]
+        effort = self.drives["effort_limit"].numpy()[self.driven]
+        return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * effort
 
     def play(self, values: Numbers, targets: torch.Tensor, start: torch.Tensor) -> Numbers:
         """Return positions, speeds, and efforts of N simulations after each control step, (T, N, 3, J).
@@ -171,9 +169,8 @@ class ChirpSimulation:
         for step in range(len(held)):
             now, before = ((step - lag - k).clamp(min=0) for k in (0, 1))
             delayed = held[step].clone()
-            delayed[:, :, driven] = torch.lerp(
-                held[now, :, rows, columns], held[before, :, rows, columns], share[..., None]
-            ).movedim(-1, 0)
+            late_targets = torch.lerp(held[now, :, rows, columns], held[before, :, rows, columns], share[..., None])
+            delayed[:, :, driven] = late_targets.movedim(-1, 0)
             if step % self.decimation == 0:
                 robot.begin_control_step()
             robot.set_joint_position_target(delayed[0])
@@ -207,7 +204,7 @@ def identify(
     env: Mapping[str, Any],
     mjcf: Path,
     weights: Mapping[str, Weight] = MappingProxyType({}),
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = None,
 ) -> Identified:
     """Identify the motors of the robot in an ``env`` config from a log of chirps.
 
@@ -325,12 +322,7 @@ def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shift
 
 
 def _first_fit(
-    simulation: ChirpSimulation,
-    pieces: _Pieces,
-    before: Numbers,
-    free: Numbers,
-    noise: Numbers,
-    progress: Callable[[str], None] | None,
+    simulation: ChirpSimulation, pieces: _Pieces, before: Numbers, free: Numbers, noise: Numbers, progress: Progress
 ) -> Numbers:
     """Return the parameters of the best of a few fits: joints that fit badly start again, with longer delays."""
     start, best, least = before, before, np.inf
@@ -355,6 +347,7 @@ def _scores(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, noise
     return float(before), float(after)
 
 
+@dataclass
 class _Fit:
     """One least-squares problem.
 
@@ -362,19 +355,17 @@ class _Fit:
     links) / K, both frictions / K, K, delay, and effort scale times K, each divided by its typical size.
     """
 
-    def __init__(
-        self,
-        simulation: ChirpSimulation,
-        pieces: _Pieces,
-        start: Numbers,
-        free: Numbers,
-        noise: Numbers,
-        progress: Callable[[str], None] | None,
-    ) -> None:
-        self.simulation, self.pieces, self.start, self.free = simulation, pieces, start, free
-        self.noise, self.progress = noise, progress
+    simulation: ChirpSimulation
+    pieces: _Pieces
+    start: Numbers
+    free: Numbers
+    noise: Numbers
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        simulation, start = self.simulation, self.start
         self.known: tuple[bytes, Numbers, Numbers] | None = None
-        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[free]
+        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[self.free]
         self.inertia = simulation.inertias()[0]
         ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clamp(max=1e3).numpy()[simulation.driven]
         inertia = self.inertia + np.maximum(start[:, 0], 1e-6)
@@ -403,13 +394,8 @@ class _Fit:
         """Return scipy's solution."""
         start = np.maximum(self.ratios(self.start), _FIRST)[self.free]
         limits = {"bounds": (self.low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
-        return optimize.least_squares(self.residuals, start, self.jacobian, ftol=1e-6, **limits)
-
-    def residuals(self, unknowns: Numbers) -> Numbers:
-        return self._evaluate(unknowns)[0]
-
-    def jacobian(self, unknowns: Numbers) -> Numbers:
-        return self._evaluate(unknowns)[1]
+        residuals, jacobian = (lambda x: self._evaluate(x)[0]), (lambda x: self._evaluate(x)[1])
+        return optimize.least_squares(residuals, start, jacobian, ftol=1e-6, **limits)
 
     def _evaluate(self, unknowns: Numbers) -> tuple[Numbers, Numbers]:
         """Return the residuals (n,) and their Jacobian (n, p) by forward differences, in one batch of simulations."""

@@ -179,23 +179,21 @@ def bytes_of(value: torch.Tensor) -> torch.Tensor:
 
 def on_device(tree: Any, device: torch.device) -> Any:
     """Copy nested mappings, lists, and tuples, and move all tensors in them to a device."""
-    if isinstance(tree, torch.Tensor):
-        return tree.to(device)
-    if isinstance(tree, Mapping):
-        return {key: on_device(value, device) for key, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return type(tree)(on_device(value, device) for value in tree)
-    return tree
+    return _converted(tree, lambda tensor: tensor.to(device))
 
 
 def cloned(tree: Any) -> Any:
     """Copy nested mappings, lists, and tuples, including all tensors in them."""
+    return _converted(tree, lambda tensor: tensor.detach().clone())
+
+
+def _converted(tree: Any, convert: Callable[[torch.Tensor], torch.Tensor]) -> Any:
     if isinstance(tree, torch.Tensor):
-        return tree.detach().clone()
+        return convert(tree)
     if isinstance(tree, Mapping):
-        return {key: cloned(value) for key, value in tree.items()}
+        return {key: _converted(value, convert) for key, value in tree.items()}
     if isinstance(tree, (list, tuple)):
-        return type(tree)(cloned(value) for value in tree)
+        return type(tree)(_converted(value, convert) for value in tree)
     return tree
 
 

@@ -107,10 +107,8 @@ def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
     """Return the error for an object whose state cannot be saved."""
     why = "points back at itself" if isinstance(error, RecursionError) else str(error)
     message = f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ"
-    expected = (
-        "tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in it "
-    )
-    expected += "instead of an iterator), or objects with state_dict and load_state_dict of their own"
+    expected = "tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in "
+    expected += "it instead of an iterator), or objects with state_dict and load_state_dict of their own"
     return ConfigError(message, key=key, expected=expected)
 
 

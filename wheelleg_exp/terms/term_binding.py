@@ -195,11 +195,6 @@ def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, An
             yield from walk_nodes(value, f"{path}[{index}]")
 
 
-def walk_targets(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the config path and the value of every ``_target_`` in a config."""
-    return ((where, str(part[TARGET])) for where, part in walk_nodes(node, path) if TARGET in part)
-
-
 def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
     """Return the keyword arguments in a ``_target_`` node, which are all keys except ``_target_``."""
     for key in node:

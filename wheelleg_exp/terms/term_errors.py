@@ -25,40 +25,33 @@ from wheelleg_exp.terms.key_syntax import below
 from wheelleg_exp.user_exceptions import in_words, is_interrupt
 
 
-def field_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
-    """Return errors in the fields of a term's config that the manager reads, such as ``weight`` or ``mode``."""
-    errors = [
-        ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
-        for name in binding.REQUIRED_FIELDS.get(section, ())
-        if name not in term.fields
-    ]
+def field_errors(section: str, term: binding.TermNode) -> Iterator[ConfigError]:
+    """Yield errors in the fields of a term's config that the manager reads, such as ``weight`` or ``mode``."""
+    for name in binding.REQUIRED_FIELDS.get(section, ()):
+        if name not in term.fields:
+            yield ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
     for name, value in term.fields.items():
         if not has_target(value):
-            errors += value_errors(f"{term.path}.{name}", value, binding.FIELD_TYPES.get(name, Any))
-    return errors + _mode_errors(term)
+            yield from value_errors(f"{term.path}.{name}", value, binding.FIELD_TYPES.get(name, Any))
+    yield from _mode_errors(term)
 
 
-def _mode_errors(term: binding.TermNode) -> list[ConfigError]:
+def _mode_errors(term: binding.TermNode) -> Iterator[ConfigError]:
     mode = term.fields.get("mode")
     if not isinstance(mode, str):
-        return []
+        return
     nearest = nearest_name(mode, binding.EVENT_MODES)
     if nearest is not None and mode != nearest:
         expected = ", ".join(binding.EVENT_MODES) + ", or a user-defined name that is less similar to these"
-        return [ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)]
-    errors = [
-        ConfigError(
-            f"only events of mode '{owner}' read this field, and this event has mode '{mode}'",
-            key=f"{term.path}.{name}",
-            expected=f"mode {owner}, or no {name}",
-        )
-        for name, owner in binding.MODE_FIELDS.items()
-        if name in term.fields and owner != mode
-    ]
+        yield ConfigError(f"unknown mode '{mode}'", key=f"{term.path}.mode", expected=expected, nearest=nearest)
+        return
+    for name, owner in binding.MODE_FIELDS.items():
+        if name in term.fields and owner != mode:
+            message = f"only events of mode '{owner}' read this field, and this event has mode '{mode}'"
+            yield ConfigError(message, key=f"{term.path}.{name}", expected=f"mode {owner}, or no {name}")
     if mode == "interval" and term.fields.get("interval_range_s") is None:
         key = f"{term.path}.interval_range_s"
-        errors.append(ConfigError("an interval event needs an interval", key=key, expected="[shortest, longest] in s"))
-    return errors
+        yield ConfigError("an interval event needs an interval", key=key, expected="[shortest, longest] in s")
 
 
 def parameter_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
@@ -146,7 +139,7 @@ def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
 
 def has_target(value: Any) -> bool:
     """Return whether a config value contains the key ``_target_`` at any depth."""
-    return any(True for _ in binding.walk_targets(value))
+    return any(binding.TARGET in node for _, node in binding.walk_nodes(value))
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if not mistakes and composed is not None and composed.config.get("init_from") is not None:
         mistakes = _of_initial(composed, quiet=args.json)
     if mistakes:
-        return _wrong(mistakes, as_json=args.json)
+        return report_mistakes(mistakes, as_json=args.json)
     assert composed is not None
     if args.physics:
         from wheelleg_exp.lint.physics_check import examine
@@ -80,7 +80,8 @@ def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
         return list(parts(error))
 
 
-def _wrong(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
+def report_mistakes(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:
+    """Print the mistakes in a config as JSON, and return the exit status; otherwise, raise an error that lists them."""
     from wheelleg_exp.config.config_errors import document, raise_all
 
     if not as_json:
@@ -100,7 +101,7 @@ def _check_pipeline(args: argparse.Namespace) -> int:
     try:
         pipeline, _ = composed_phases(args.overrides, args.config_dirs)
     except ConfigError as error:
-        return _wrong(parts(error), as_json=args.json)
+        return report_mistakes(parts(error), as_json=args.json)
     if args.json:
         print_json({"mistakes": []})
     else:
@@ -110,6 +111,8 @@ def _check_pipeline(args: argparse.Namespace) -> int:
 
 
 def _show(report: PhysicsReport, *, show_all: bool) -> None:
+    from wheelleg_exp.lint.physics_check import facts_rows
+
     def section(show: Callable[..., None], columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         if rows:
             show(columns, rows)
@@ -119,7 +122,7 @@ def _show(report: PhysicsReport, *, show_all: bool) -> None:
         rows = [(f.rule, f.key, f.where or "", f.message, reason) for f, reason in found]
         section(partial(print_blocks, heads=2), ("", "", "place", "what", title), rows)
 
-    section(print_table, ("robot", "", ""), report.facts_table())
+    section(print_table, ("robot", "", ""), facts_rows(report.case.facts))
     columns = ("reward", "weight", "at a tolerance of", "per step", "per episode", "share")
     section(print_table, columns, report.rewards_table())
     findings("hint", [(finding, finding.hint) for finding in report.open])

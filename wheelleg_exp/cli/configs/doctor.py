@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
-from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK
+from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
 if TYPE_CHECKING:
     from wheelleg_exp.lint.diagnosis import Diagnosis
@@ -35,10 +35,18 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.inspection.robot_picture import require_picture
 
         require_picture(args.screenshot)
-    words, dirs = args.overrides, args.config_dirs
-    found = _of_file(words, dirs) if _names_a_file(words[0]) else _of_task(words, dirs, args.json)
-    if found is None:
-        return EXIT_INPUT
+    if _names_a_file(args.overrides[0]):
+        found = _of_file(args.overrides, args.config_dirs)
+    else:
+        from wheelleg_exp.cli.configs.check import report_mistakes
+        from wheelleg_exp.config.checking.find_mistakes import find_mistakes
+        from wheelleg_exp.lint.diagnosis import diagnose_task
+
+        composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
+        if mistakes:
+            return report_mistakes(mistakes, as_json=args.json)
+        assert composed is not None
+        found = diagnose_task(composed)
     if args.screenshot is not None:
         from wheelleg_exp.inspection.robot_picture import write_picture
 
@@ -66,25 +74,11 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
     return diagnose_file(Path(words[0]))
 
 
-def _of_task(words: list[str], config_dirs: list[Path], as_json: bool) -> Diagnosis | None:
-    from wheelleg_exp.config.checking.find_mistakes import find_mistakes
-    from wheelleg_exp.config.config_errors import document, raise_all
-    from wheelleg_exp.lint.diagnosis import diagnose_task
-
-    composed, mistakes = find_mistakes(words, config_dirs=config_dirs)
-    if mistakes:
-        if not as_json:
-            raise_all(mistakes)
-        print_json({"mistakes": [document(error) for error in mistakes]})
-        return None
-    assert composed is not None
-    return diagnose_task(composed)
-
-
 def _show(found: Diagnosis, *, show_all: bool) -> None:
     from wheelleg_exp.lint.diagnosis import rows_of
+    from wheelleg_exp.lint.physics_check import facts_rows
 
-    print_table(("robot", "", ""), found.facts())
+    print_table(("robot", "", ""), facts_rows(found.case.facts))
     print()
     for note in found.notes:
         print(hanging(note, 2, "- "))

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
         reasons.append("1 warning" if count == 1 else f"{count} warnings")
     verdict = f"{VERDICTS[report.verdict.level]} {'; '.join(reasons)}".strip()
     print(hanging(f"{printable(report.source)}: {verdict}", 4))
-    groups = _grouped(report.warnings)
+    groups = list(_grouped(report.warnings))
     for text in groups[:ROWS]:
         print(hanging(printable(text), 9, "warning:"))
     if len(groups) > ROWS:
@@ -42,7 +42,7 @@ def show(conversion: Conversion, scene: Path | None) -> None:
     for title, value in _summary(report):
         print(hanging(printable(value), 20, title))
     columns = ("joint", "kind", "range", "kp", "kv", "effort", "as authored")
-    rows = _joints(conversion)
+    rows = list(_joints(conversion))
     used = [i for i, title in enumerate(columns) if title[0] != "k" or title == "kind" or any(row[i] for row in rows)]
     used = [i for i in used if columns[i] != "as authored" or any(row[i] for row in rows)]
     _section("Joints", [columns[i] for i in used], [[row[i] for i in used] for row in rows], JOINTS)
@@ -73,9 +73,9 @@ def show(conversion: Conversion, scene: Path | None) -> None:
 def _summary(report: Report) -> list[tuple[str, str]]:
     totals, stage = report.totals, report.stage
     assumed = totals["assumed_mass"]
-    share = (
-        "all of it from the file" if not assumed else f"{assumed:.6g} kg ({percent(totals['assumed_share'])}) assumed"
-    )
+    share = "all of it from the file"
+    if assumed:
+        share = f"{assumed:.6g} kg ({percent(totals['assumed_share'])}) assumed"
     rows = [
         ("model", report.model),
         ("bodies", f"{totals['bodies']}, {totals['mass']:.6g} kg in all, {share}"),
@@ -101,14 +101,13 @@ def _few(names: Sequence[str], most: int = NAMED, more: str = "") -> str:
     return ", ".join(names[:most]) + ((more or f" and {len(names) - most} more") if len(names) > most else "")
 
 
-def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
-    """Return a table row in SI units for each joint; add the robot file's original values if they differ."""
+def _joints(conversion: Conversion) -> Iterator[tuple[str, ...]]:
+    """Yield a table row in SI units for each joint; add the robot file's original values if they differ."""
     from wheelleg_exp.asset.robot_values import effort_of
 
     report, robot = conversion.report, conversion.description
     # Find the joints that an actuator of the MJCF file drives.
     acting = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
-    rows: list[tuple[str, ...]] = []
     for dof in robot.dofs:
         drive, (unit, unit_of_range) = dof.drive, ("N", "m") if dof.kind == "slide" else ("N m", "rad")
         effort = effort_of(dof)
@@ -134,18 +133,15 @@ def _joints(conversion: Conversion) -> list[tuple[str, ...]]:
             parts.append(f"max {_shortly(by_end['maxForce'])}")
         if not usd and dof.force_range is None and "effort" in by_end:
             parts.append(f"effort {_shortly(by_end['effort'])}")
-        rows.append(
-            (
-                dof.name,
-                dof.kind,
-                limits,
-                f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
-                f"{drive.damping:.4g}" if drive and drive.damping else "",
-                "none" if effort is None else f"{effort:.4g} {unit}",
-                "; ".join(parts),
-            )
+        yield (
+            dof.name,
+            dof.kind,
+            limits,
+            f"{drive.stiffness:.4g}" if drive and drive.stiffness else "" if drive and drive.damping else force,
+            f"{drive.damping:.4g}" if drive and drive.damping else "",
+            "none" if effort is None else f"{effort:.4g} {unit}",
+            "; ".join(parts),
         )
-    return rows
 
 
 def _shortly(value: Any) -> str:
@@ -171,22 +167,20 @@ def _short(text: str) -> str:
     return text if len(text) <= WIDTH else text[: WIDTH - 3] + "..."
 
 
-def _grouped(warnings: Sequence[str]) -> list[str]:
+def _grouped(warnings: Sequence[str]) -> Iterator[str]:
     """Merge conversion warnings whose texts differ only in file positions, names, and numbers."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for warning in warnings:
         path, colon, text = warning.partition(": ")
         place, text = (path, text) if colon and path.startswith("/") else ("", warning)
         groups.setdefault(re.sub(r"'[^']*'|(?<=without it: ).*|[-+]?\d[\d.e+-]*", "…", text), []).append((place, text))
-    out = []
     for found in groups.values():
         place, text = found[0]
         if place and all(other == text for _, other in found):
-            out.append(f"{_places([where for where, _ in found])}: {text}")
+            yield f"{_places([where for where, _ in found])}: {text}"
         else:
             more = f" (and {len(found) - 1} more like this)" if len(found) > 1 else ""
-            out.append((f"{place}: " if place else "") + text + more)
-    return out
+            yield (f"{place}: " if place else "") + text + more
 
 
 def _section(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], most: int = ROWS) -> None:

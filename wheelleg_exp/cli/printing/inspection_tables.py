@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
 from wheelleg_exp.definitions import (
     ENDED_AS,
+    RECORDED,
     SHARE,
     STEPS,
     percent,
     recorded_headings,
-    recorded_label,
     scalar_definition,
     share,
 )
@@ -174,13 +174,7 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     title = f"training, iteration {_last_iteration(summary)}, with exploration"
     _section(title, ("figure", "value", "of"), _last(summary))
     environments = f", environment{'s' if len(summary.env_ids) > 1 else ''} {listed(summary.env_ids)}"
-    rows: list[Row] = []
-    for s in summary.samples:
-        survival = "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes)
-        duration = "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}"
-        counts = (f"{s.iteration} to {s.last_iteration}", f"{s.episodes}", f"{s.cut}")
-        rows.append((*counts, survival, duration, number(s.mean_reward)))
-    _section("samples of whole episodes" + environments, recorded_headings("samples"), rows)
+    _section("samples of whole episodes" + environments, recorded_headings("samples"), _samples(summary))
     if summary.frames is not None:
         print(f"\n{hanging(f'below: {_scope(summary, selection)}', 0)}")
     _section("episodes", ("figure", "value"), _episodes(summary))
@@ -193,19 +187,19 @@ def print_summary(summary: Summary, others: Sequence[Path], selection: Selection
     ]
     _section("efforts", ("joint", *recorded_headings("efforts")), efforts)
     ordered = sorted(summary.rewards, key=lambda reward: -(reward.share or 0.0))
-    rewards: list[Row] = [(r.term, number(r.weight), number(r.mean), _share(r.share)) for r in ordered]
+    rewards = ((r.term, number(r.weight), number(r.mean), _share(r.share)) for r in ordered)
     _section("rewards", ("term", *recorded_headings("rewards")), rewards)
-    events: list[Row] = [(name, f"{count}") for name, count in summary.events.items()]
+    events = ((name, f"{count}") for name, count in summary.events.items())
     _section("events", ("event", *recorded_headings("events")), events)
     _section("training, by iteration", ("scalar", *recorded_headings("training")), _training(summary))
     if others:
         print("\n" + hanging("other recordings of this run: " + ", ".join(shown(path) for path in others), 4))
 
 
-def _section(title: str, columns: Sequence[str], rows: Sequence[Row]) -> None:
-    if rows:
+def _section(title: str, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    if found := list(rows):
         print(f"\n{title}")
-        print_table(columns, rows)
+        print_table(columns, found)
 
 
 def _head(summary: Summary, status: str | None) -> list[Row]:
@@ -272,46 +266,47 @@ def _episodes(summary: Summary) -> list[Row]:
         return []
     cut = [f"{f.begun_before} started before"] * bool(f.begun_before)
     cut += [f"{f.unfinished} not ended"] * bool(f.unfinished)
+    label = {key: definition.label for key, definition in RECORDED["episodes"].items()}
     return [
-        (recorded_label("episodes", "count"), f"{f.whole} whole" + (f"; left out: {', '.join(cut)}" if cut else "")),
-        (recorded_label("episodes", "survival"), share(f.timed_out, f.whole)),
-        *((f"{recorded_label('episodes', 'ended_by')} {name}", f"{count}") for name, count in f.ended_by.items()),
-        (recorded_label("episodes", "mean_duration_s"), _with_unit(f.mean_duration_s, "s")),
-        (recorded_label("episodes", "longest_s"), _with_unit(f.longest_s, "s")),
-        (recorded_label("episodes", "mean_reward"), number(f.mean_reward)),
+        (label["count"], f"{f.whole} whole" + (f"; left out: {', '.join(cut)}" if cut else "")),
+        (label["survival"], share(f.timed_out, f.whole)),
+        *((f"{label['ended_by']} {name}", f"{count}") for name, count in f.ended_by.items()),
+        (label["mean_duration_s"], _with_unit(f.mean_duration_s, "s")),
+        (label["longest_s"], _with_unit(f.longest_s, "s")),
+        (label["mean_reward"], number(f.mean_reward)),
     ]
 
 
-def _base(summary: Summary) -> list[Row]:
-    rows: list[Row] = []
+def _samples(summary: Summary) -> Iterator[Row]:
+    for s in summary.samples:
+        survival = "-" if s.survival is None else share(round(s.survival * s.episodes), s.episodes)
+        duration = "-" if s.mean_duration_s is None else f"{s.mean_duration_s:.2f}"
+        counts = (f"{s.iteration} to {s.last_iteration}", f"{s.episodes}", f"{s.cut}")
+        yield *counts, survival, duration, number(s.mean_reward)
+
+
+def _base(summary: Summary) -> Iterator[Row]:
     for name, s in summary.base.items():
         values = (s.mean, s.std, s.rms, s.minimum, s.maximum)
-        rows.append((f"{name} ({unit(f'base/{name}')})", *map(number, values), when(s.maximum_at)))
-    return rows
+        yield f"{name} ({unit(f'base/{name}')})", *map(number, values), when(s.maximum_at)
 
 
-def _tracking(summary: Summary) -> list[Row]:
-    rows: list[Row] = []
+def _tracking(summary: Summary) -> Iterator[Row]:
     for t in summary.tracking:
         values = map(number, (t.rmse, t.mean, t.largest, t.mean_command))
-        rows.append((f"{t.command}.{t.name} ({unit(f'base/{t.name}')})", *values))
-    return rows
+        yield f"{t.command}.{t.name} ({unit(f'base/{t.name}')})", *values
 
 
-def _forces(summary: Summary) -> list[Row]:
-    rows: list[Row] = []
+def _forces(summary: Summary) -> Iterator[Row]:
     for f in summary.forces:
         largest = (number(f.largest_n), when(f.at) if f.largest_n else "")
-        rows.append((f"{f.sensor}.{f.body}", *largest, number(f.mean_n), _share(f.contact_share)))
-    return rows
+        yield f"{f.sensor}.{f.body}", *largest, number(f.mean_n), _share(f.contact_share)
 
 
-def _training(summary: Summary) -> list[Row]:
-    rows: list[Row] = []
+def _training(summary: Summary) -> Iterator[Row]:
     for t in summary.training:
         lowest, highest = f"{number(t.lowest)} at {t.lowest_at}", f"{number(t.highest)} at {t.highest_at}"
-        rows.append((t.name, number(t.first), number(t.last), lowest, highest))
-    return rows
+        yield t.name, number(t.first), number(t.last), lowest, highest
 
 
 def _with_unit(value: float | None, word: str) -> str:

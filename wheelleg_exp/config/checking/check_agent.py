@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.constraints import Count
-from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name
+from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name, not_one_of
 from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
 from wheelleg_exp.terms import term_binding
 from wheelleg_exp.terms.config_sections import section_errors
@@ -33,7 +32,7 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
 
     if not isinstance(agent, Mapping):
         return []
-    errors = section_errors("agent", agent, agent_options(agent)) + parameter_errors(agent)
+    errors = [*section_errors("agent", agent, agent_options(agent)), *parameter_errors(agent)]
     for path, node in walk_nodes(agent, "agent"):
         for key in _CLASS_KEYS:
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
@@ -44,7 +43,9 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
             errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
-    return errors or (batch_errors(agent, num_envs) if fits(num_envs, Count) else [])
+    if not errors and fits(num_envs, Count):
+        errors += batch_errors(agent, num_envs)
+    return errors
 
 
 def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
@@ -90,62 +91,58 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     return [] if defined_there else [refused]
 
 
-def _check_constructor(path: str, node: Any) -> list[ConfigError]:
+def _check_constructor(path: str, node: Any) -> Iterator[ConfigError]:
     if not isinstance(node, Mapping):
-        return []
+        return
     if "class_name" not in node:
-        return [MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")]
+        yield MissingValue(key=f"{path}.class_name", expected="a class of rsl_rl")
+        return
     found = rsl_class(node["class_name"])
     if found is None:
-        return []  # If the class does not exist, ``_check_class_name`` reports this.
-    errors = _check_parameters(path, node, found)
+        return  # If the class does not exist, ``_check_class_name`` reports this.
+    yield from _check_parameters(path, node, found)
     # rsl_rl accepts an actor without an action distribution, but cannot train such an actor.
     is_actor = path in ("agent.actor", "agent.student")
     draws = is_actor and not _takes_any(found) and _DISTRIBUTION in class_slots(found, "actor")
     if draws and node.get(_DISTRIBUTION) is None:
         expected = "the distribution of the actions, such as {class_name: GaussianDistribution}"
-        errors.append(MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected))
-    return errors
+        yield MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected)
 
 
-def _check_extensions(agent: Mapping[str, Any]) -> list[ConfigError]:
+def _check_extensions(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
     algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
-    errors: list[ConfigError] = []
     for name in EXTENSIONS:
         node = algorithm.get(name) if isinstance(algorithm, Mapping) else None
         if not isinstance(node, Mapping):
             continue
         path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
-        errors += _check_parameters(path, node, found)
+        yield from _check_parameters(path, node, found)
         for key, slot in class_slots(found, name).items():
             if slot.default is REQUIRED and key not in node:
-                errors.append(MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs"))
+                yield MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs")
         if name == "symmetry_cfg" and node.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
             expected = "joint_pairs, which name the mirror image of each joint"
-            errors.append(MissingValue(key="agent.symmetry", expected=expected))
+            yield MissingValue(key="agent.symmetry", expected=expected)
         if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
             expected = "the observation groups whose novelty is rewarded"
-            errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))
-    return errors
+            yield MissingValue(key="agent.obs_groups.rnd_state", expected=expected)
 
 
-def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> list[ConfigError]:
+def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> Iterator[ConfigError]:
     accepted = class_slots(found, path.rsplit(".", 1)[-1])
-    errors = []
     for name, value in node.items() if not _takes_any(found) else ():
         key = f"{path}.{name}"
         if name == "class_name":
             continue
         if name not in accepted:
             message = f"'{node.get('class_name', found.__name__)}' takes no parameter '{name}'"
-            errors.append(not_one_of(message, name, accepted, key=key))
+            yield not_one_of(message, name, accepted, key=key)
         elif isinstance(value, Mapping) and "class_name" in value:
-            errors += _check_constructor(key, value)
+            yield from _check_constructor(key, value)
         elif name not in PARAMETERS:  # ``parameter_errors`` checks the rsl_rl parameters in ``PARAMETERS``.
             wrong = value_errors(key, value, accepted[name].annotation)
             words = known_words(name, value) if name in RESOLVERS and not wrong else None
-            errors += wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
-    return errors
+            yield from wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
 
 
 def _takes_any(found: Any) -> bool:

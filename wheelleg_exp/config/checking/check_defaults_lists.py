@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,9 +85,8 @@ def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
-def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> list[ConfigError]:
+def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> Iterator[ConfigError]:
     """Find terms, such as rewards, that have a config file but no ``_target_`` in the composed config."""
-    errors = []
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
         if file.name in file.content and isinstance(term, Mapping) and TARGET not in term:
@@ -97,10 +96,9 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
             except NotSelected:
                 message, expected = "this file's term has no _target_", "_target_: package.module.name"
                 where = show_file(file.file, lines.get((file.name,), 1))
-                errors.append(ConfigError(message, key=key, where=where, expected=expected))
+                yield ConfigError(message, key=key, where=where, expected=expected)
             except ConfigError:
                 continue  # The module check_terms reports a misspelled ``_target_``.
-    return errors
 
 
 def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
@@ -190,14 +188,13 @@ def emptied_by(composed: Composed, key: str) -> str | None:
     return None
 
 
-def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list[ConfigError]:
+def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> Iterator[ConfigError]:
     """Find terms that are selected twice: by one defaults list, or by a config file and the file that it extends.
 
     If Hydra merged a term's file again, the file would overwrite later settings of the term. If a config file sets a
     term to null, a later defaults list can select the term again.
     """
     seen: dict[tuple[str, str], int] = {}
-    errors = []
     for index, file in enumerate(files):
         place, key = (file.package, file.config_path), f"{file.package}.{file.name}"
         again = _is_term_list(file.package) and place in seen
@@ -209,9 +206,8 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> list
                 if file.name in map(str, choice.value if isinstance(choice.value, list) else [choice.value]):
                     where = choice.where
                     break
-            errors.append(ConfigError("the term is listed twice", key=key, where=where, expected="each term once"))
+            yield ConfigError("the term is listed twice", key=key, where=where, expected="each term once")
         seen[place] = index
-    return errors
 
 
 def _sets_null(file: MountedFile, key: str) -> bool:
@@ -241,7 +237,7 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
     ]
 
 
-def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
     """Find defaults lists that order terms, such as rewards, differently from the composed config.
 
     A term gets an earlier position if another file sets a parameter of the term before Hydra merges the term's file.
@@ -250,7 +246,6 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
     for file in files:
         if _is_term_list(file.package):
             by_package.setdefault(file.package, []).append(file)
-    errors = []
     for package, members in by_package.items():
         wanted = list(dict.fromkeys(file.name for file in members if file.name in file.content))
         present = [name for name in section_at(composed.config, package) if name in wanted]
@@ -265,13 +260,11 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> list[Config
             message += "is set before it is listed"
             expected = f"{', '.join(kept)}, the order of the list: put _self_ last, or set '{early}' after it is listed"
             where = (setters[0] if setters else first).where
-            errors.append(ConfigError(message, key=package, where=where, expected=expected))
-    return errors
+            yield ConfigError(message, key=package, where=where, expected=expected)
 
 
-def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigError]:
-    """Return an error for each Hydra setting that a config file sets without effect; skip the primary config."""
-    errors = []
+def unread_in_files(files: Sequence[MountedFile], primary: str) -> Iterator[ConfigError]:
+    """Yield an error for each Hydra setting that a config file sets without effect; skip the primary config."""
     for mounted in files:
         if mounted.config_path == primary:
             continue
@@ -279,5 +272,4 @@ def unread_in_files(files: Sequence[MountedFile], primary: str) -> list[ConfigEr
         package = split_path(mounted.package) if mounted.package else ()
         found = [(dotted((*package, *keys)), lines.get(keys)) for keys, _ in leaves(mounted.content)]
         found += [(entry.key.lstrip("/"), entry.line) for entry in defaults_entries(mounted.file)]
-        errors += [unread_setting(key, show_file(mounted.file, line)) for key, line in found if is_unread(key)]
-    return errors
+        yield from (unread_setting(key, show_file(mounted.file, line)) for key, line in found if is_unread(key))

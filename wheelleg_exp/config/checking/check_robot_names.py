@@ -5,15 +5,14 @@ from __future__ import annotations
 import inspect
 import xml.etree.ElementTree as ElementTree
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
-from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.tree_lookup import at
-from wheelleg_exp.errors import AssetError, ConfigError
+from wheelleg_exp.errors import AssetError, ConfigError, not_one_of
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
 from wheelleg_exp.terms.key_syntax import dotted, split_path
@@ -108,7 +107,7 @@ def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigErro
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found or None
         errors += wrong
-    errors += _undriven(config, joints) + _shared_actions(config, joints)
+    errors += [*_undriven(config, joints), *_shared_actions(config, joints)]
     members = Members({ROBOT: joints}, bodies)
     for section, path, node in term_nodes(config):
         if isinstance(node, Mapping):
@@ -162,32 +161,28 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
     return shared_action_errors(claims)
 
 
-def _undriven(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
+def _undriven(config: Mapping[str, Any], joints: list[str]) -> Iterator[ConfigError]:
     groups = config["env"]["robot"].get("actuators")
     if not isinstance(groups, Mapping):
-        return []  # If env.robot.actuators is not a mapping, another check reports this.
+        return  # If env.robot.actuators is not a mapping, another check reports this.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
     matched = [match_all(n.get("joint_names_expr") or [], joints, "", "joint") for n in nodes]
     if not all(found for found, _ in matched):
-        return []  # If a regular expression matches no joint, another check reports this.
+        return  # If a regular expression matches no joint, another check reports this.
     driven = {joint for found, _ in matched for joint in found}
-    errors = []
     for section, path, node in term_nodes(config):
         named = node.get("joint_names") if section == "actions" and isinstance(node, Mapping) else None
         idle = [j for j in match_all(named, joints, "", "joint")[0] if j not in driven] if named else []
         if idle:
             message = f"no actuator drives {', '.join(idle)}, so the action moves nothing there"
             expected = "joints of env.robot.actuators: " + (", ".join(j for j in joints if j in driven) or "none")
-            errors.append(ConfigError(message, key=f"{path}.joint_names", expected=expected))
-    return errors
+            yield ConfigError(message, key=f"{path}.joint_names", expected=expected)
 
 
-def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
-    errors = []
+def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) -> Iterator[ConfigError]:
     for name in _BY_JOINT[kind]:
         if isinstance(node.get(name), Mapping) and joints:
-            errors += _mapping(node[name], joints, f"{path}.{name}")
-    return errors
+            yield from _mapping(node[name], joints, f"{path}.{name}")
 
 
 def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
@@ -197,10 +192,9 @@ def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[Co
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
 
 
-def _term(section: str, path: str, node: Mapping[str, Any], members: Members) -> list[ConfigError]:
+def _term(section: str, path: str, node: Mapping[str, Any], members: Members) -> Iterator[ConfigError]:
     from wheelleg_exp.managers import SceneEntityCfg
 
-    errors = []
     for inner, part in walk_nodes(node, path):
         if inner != path and TARGET not in part:
             continue
@@ -209,8 +203,7 @@ def _term(section: str, path: str, node: Mapping[str, Any], members: Members) ->
             continue
         is_entity = inspect.isclass(target) and issubclass(target, SceneEntityCfg)
         member = part.get("name") if is_entity else ROBOT
-        errors += _names(section, inner, part, target, str(member), members)
-    return errors
+        yield from _names(section, inner, part, target, str(member), members)
 
 
 def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
@@ -222,30 +215,29 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
 
 def _names(
     section: str, path: str, node: Mapping[str, Any], target: Callable[..., Any], member: str, members: Members
-) -> list[ConfigError]:
+) -> Iterator[ConfigError]:
     if member not in members.bodies:
-        return [not_one_of(f"the scene has no robot or sensor '{member}'", member, members.bodies, key=f"{path}.name")]
+        yield not_one_of(f"the scene has no robot or sensor '{member}'", member, members.bodies, key=f"{path}.name")
+        return
     accepted = inspect.signature(target).parameters
-    errors = []
     for name, kind in _KINDS.items():
         expressions = node.get(name)
         if expressions is None or name not in accepted or name in INJECTED:
             continue
         key = f"{path}.{name}"
         if kind == "joint" and member not in members.joints:
-            errors.append(ConfigError(f"'{member}' has no joints", key=key, expected="body_names only"))
+            yield ConfigError(f"'{member}' has no joints", key=key, expected="body_names only")
             continue
         known = members.joints[member] if kind == "joint" else members.bodies[member]
         if known is None:
             continue  # If a sensor's regular expression matches no body, another check reports this.
         found, wrong = match_all(expressions, known, key, kind)
-        errors += wrong
+        yield from wrong
         if section == "actions" and kind == "joint":
-            errors += _by_joint("actions", path, node, found)
+            yield from _by_joint("actions", path, node, found)
         if "preserve_order" in accepted and not node.get("preserve_order", False) and found:
             written = match_names(expressions, found, key=key, what=kind, preserve_order=True)[1]
             if written != found:
                 message = f"the order of this list is ignored: the term sees {', '.join(found)}"
                 expected = f"preserve_order: true for {', '.join(written)}, or the robot's order in the list"
-                errors += [ConfigError(message, key=key, expected=expected)]
-    return errors
+                yield ConfigError(message, key=key, expected=expected)

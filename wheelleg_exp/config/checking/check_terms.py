@@ -40,9 +40,8 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
                 yield section, f"env.{section}.{term}", node
 
 
-def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in every term of the config."""
-    errors = []
+def check_sections(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistakes in every term of the config."""
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
             if isinstance(error, binding.NotSelected):
@@ -50,8 +49,7 @@ def check_sections(config: Mapping[str, Any]) -> list[ConfigError]:
                 terms = section_at(config, parent).items()
                 selected = [str(t) for t, other in terms if isinstance(other, Mapping) and binding.TARGET in other]
                 error.nearest = nearest_name(name, selected)
-            errors.append(error)
-    return errors
+            yield error
 
 
 def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
@@ -60,7 +58,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
         term = binding.split_node(section, path, node)
     except ConfigError as error:
         return [error]
-    errors = field_errors(section, term)
+    errors = list(field_errors(section, term))
     try:
         target = import_target(term.target, path)
     except ConfigError as error:
@@ -138,23 +136,20 @@ def _nearest_target(target: str) -> str | None:
     return None
 
 
-def check_nested_targets(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
+def check_nested_targets(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
     terms = {path for _, path, _ in term_nodes(config)}
-    errors: list[ConfigError] = []
     for path, node in binding.walk_nodes(config):
         if binding.TARGET not in node or path in terms:
             continue
         try:
-            errors += nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
+            yield from nested_errors(path, node, import_target(str(node[binding.TARGET]), path))
         except ConfigError as error:
-            errors.append(error)
-    return errors
+            yield error
 
 
-def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
-    errors: list[ConfigError] = []
+def check_links(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
             continue
@@ -167,8 +162,7 @@ def check_links(config: Mapping[str, Any]) -> list[ConfigError]:
             expected = "one of " + ", ".join(known) if known else f"a term of env.{kind}; there is none"
             error = UnknownName(message, key=key, expected=expected, nearest=nearest_name(value, known))
             error.named = f"env.{kind}.{value}"
-            errors.append(error)
-    return errors
+            yield error
 
 
 def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
@@ -190,43 +184,35 @@ def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
     ]
 
 
-def check_groups_in_use(config: Mapping[str, Any]) -> list[ConfigError]:
+def check_groups_in_use(config: Mapping[str, Any]) -> Iterator[ConfigError]:
     """Find observation groups that no neural network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
-        return []
+        return
     used = {name for members in sets.values() if isinstance(members, list) for name in members}
     if not used <= set(groups) or not all(sets.values()):
-        return []  # If an observation group does not exist, another check reports this.
+        return  # If an observation group does not exist, another check reports this.
     if at(config, "agent.teacher") is not None:
         used |= set(groups)  # Distillation may keep the critic's observation groups, which no network reads.
-    unused = [
-        ConfigError(
-            f"no network reads the observation group '{name}'",
-            key=f"agent.obs_groups.{name}" if name in sets else "agent.obs_groups",
-            expected="every group in some network's list, or no such group",
-            nearest=nearest_name(str(name), [str(n) for n in used if n not in groups]),
-        )
-        for name, group in groups.items()
-        if name not in used and isinstance(group, Mapping) and "terms" in group
-    ]
-    return unused + [
-        ConfigError("the group has no terms", key=f"env.observations.{name}.terms", expected="at least one term")
-        for name, group in groups.items()
-        if isinstance(group, Mapping) and group.get("terms") == {}
-    ]
+    for name, group in groups.items():
+        if name not in used and isinstance(group, Mapping) and "terms" in group:
+            message, key = f"no network reads the observation group '{name}'", "agent.obs_groups"
+            expected = "every group in some network's list, or no such group"
+            yield ConfigError(message, key=f"{key}.{name}" if name in sets else key, expected=expected)
+    for name, group in groups.items():
+        if isinstance(group, Mapping) and group.get("terms") == {}:
+            key = f"env.observations.{name}.terms"
+            yield ConfigError("the group has no terms", key=key, expected="at least one term")
 
 
-def recorded_errors(ids: Any, count: Any) -> list[ConfigError]:
-    """Return the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
+def recorded_errors(ids: Any, count: Any) -> Iterator[ConfigError]:
+    """Yield the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
-        return []
-    if count < 1:
-        return []  # If env.num_envs is below 1, a separate type check reports this.
-    if ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids):
-        return []
-    expected = f"at least one environment, each once, from 0 to {count - 1}"
-    return [ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)]
+        return
+    valid = ids and len(set(ids)) == len(ids) and all(0 <= i < count for i in ids)
+    if count >= 1 and not valid:  # If env.num_envs is below 1, a separate type check reports this.
+        expected = f"at least one environment, each once, from 0 to {count - 1}"
+        yield ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)
 
 
 def require_recorded(config: Mapping[str, Any]) -> None:
@@ -247,13 +233,11 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
     return [error for error in found if error is not None]
 
 
-def check_folders(config: Mapping[str, Any]) -> list[ConfigError]:
-    """Return the mistake in the config key ``run.root`` if this path cannot be a folder."""
+def check_folders(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield the mistake in the config key ``run.root`` if this path cannot be a folder."""
     root = at(config, "run.root")
-    if not isinstance(root, str):
-        return []
-    path = Path(root)
-    wrong = next((place for place in (path, *path.parents) if place.exists() and not place.is_dir()), None)
-    if wrong is None:
-        return []
-    return [ConfigError(f"'{wrong}' is a file", key="run.root", expected="a folder, or a path where one can be made")]
+    places = (Path(root), *Path(root).parents) if isinstance(root, str) else ()
+    wrong = next((place for place in places if place.exists() and not place.is_dir()), None)
+    if wrong is not None:
+        expected = "a folder, or a path where one can be made"
+        yield ConfigError(f"'{wrong}' is a file", key="run.root", expected=expected)

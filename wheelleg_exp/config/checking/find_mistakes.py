@@ -6,7 +6,7 @@ broken file stops Hydra, ``find_mistakes`` treats this file as empty, so that it
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -31,7 +31,7 @@ from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.config_sections import ObservationGroup, Section, section_errors
-from wheelleg_exp.terms.config_values import value_errors
+from wheelleg_exp.terms.config_values import fits, value_errors
 from wheelleg_exp.terms.key_syntax import dotted, split_path
 from wheelleg_exp.terms.term_binding import NotAllowed
 
@@ -107,20 +107,15 @@ def check(composed: Composed) -> list[ConfigError]:
         # A config file at a wrong key causes many errors about other keys, so report only misplaced files.
         return misplaced
     config = lists.without_strays(composed.config, files)
-    errors = (
-        lists.check_term_files(files)
-        + lists.check_targets_of_files(config, files)
-        + lists.check_group_lists(composed, files)
-    )
+    errors = [*lists.check_term_files(files), *lists.check_targets_of_files(config, files)]
+    errors += lists.check_group_lists(composed, files)
     hidden = {str(error.key) for error in errors}
-    found = check_tree(config, schema.Root) + (lists.check_order(composed, files) or lists.check_overwritten(composed))
+    found = check_tree(config, schema.Root)
+    found += list(lists.check_order(composed, files)) or lists.check_overwritten(composed)
     found += lists.check_listed_twice(files, composed)
     found += lists.unread_in_files(files, composed.primary)
-    found += (
-        check_terms.check_groups_in_use(config)
-        + check_terms.check_folders(config)
-        + _check_robot(config, composed.asset_roots)
-    )
+    found += [*check_terms.check_groups_in_use(config), *check_terms.check_folders(config)]
+    found += _check_robot(config, composed.asset_roots)
     errors += [error for error in found if not follows_from(error, hidden)]
     # Add the place of the wrong value (file and line, or override) to each config error, and remove repeated errors.
     errors = lists.blame_mounts(_first_causes(errors), composed, files)
@@ -177,7 +172,8 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
     robot, scene = at(config, "env.robot"), at(config, "env.scene")
     if not isinstance(robot, Mapping) or not isinstance(scene, Mapping):
         return []
-    if section_errors("env.robot", {name: robot[name] for name in ("asset", "base") if name in robot}, _Asset):
+    base = robot.get("base", "auto")
+    if not fits(robot.get("asset"), str) or not fits(base, Literal["auto", "floating", "fixed"]):
         return []
     try:
         names = read_names({"robot": robot, "scene": scene}, asset_roots)
@@ -186,26 +182,17 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
     return check_robot(config, names)
 
 
-@dataclass(frozen=True)
-class _Asset:
-    """The keys of ``env.robot`` that determine the robot's joint and body names."""
-
-    asset: str
-    base: Literal["auto", "floating", "fixed"] = "auto"
-
-
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
     errors = section_errors("", config, root)
     for path in schema.OPTIONS:
-        options = schema.options_of(path)
         node = at(config, path)
-        if options is not None and isinstance(node, Mapping) and schema.is_open(root, path):
-            errors += section_errors(path, node, options)
+        if isinstance(node, Mapping) and schema.is_open(root, path):
+            errors += section_errors(path, node, schema.options_of(path))
     errors += _check_observation_groups(config)
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)
-    errors += check_terms.check_links(config) + check_terms.check_realism(config)
+    errors += [*check_terms.check_links(config), *check_terms.check_realism(config)]
     for name, reason in section_at(config, "check.silence").items():
         key = f"check.silence.{name}"
         if name not in schema.PHYSICS_RULES:
@@ -214,7 +201,8 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
         elif isinstance(reason, str) and not reason.strip():
             errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
-    errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs) + check_terms.check_drawn(config)
+    errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
+    errors += check_terms.check_drawn(config)
     return errors + check_agent(config.get("agent"), groups, num_envs)
 
 
@@ -225,20 +213,18 @@ def require_valid(composed: Composed) -> None:
         raise_all(errors)
 
 
-def _check_observation_groups(config: Mapping[str, Any]) -> list[ConfigError]:
+def _check_observation_groups(config: Mapping[str, Any]) -> Iterator[ConfigError]:
     groups = section_at(config, "env.observations")
-    errors: list[ConfigError] = []
     for name, group in groups.items():
         path = f"env.observations.{name}"
         with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]
         if isinstance(group, Mapping) and "terms" not in group and (near := nearest_name(str(name), with_terms)):
             message = "there are settings for this group, and no terms are mounted in it"
-            errors.append(ConfigError(message, key=path, expected="settings for " + ", ".join(groups), nearest=near))
+            yield ConfigError(message, key=path, expected="settings for " + ", ".join(groups), nearest=near)
         elif isinstance(group, Mapping):
-            errors += section_errors(path, group, ObservationGroup)
+            yield from section_errors(path, group, ObservationGroup)
         else:
-            errors += value_errors(path, group, Section)
-    return errors
+            yield from value_errors(path, group, Section)
 
 
 _MOST_ATTEMPTS = 50

@@ -58,18 +58,16 @@ def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigE
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
 
-def _unread_overrides(overrides: Sequence[str]) -> list[ConfigError]:
-    errors = []
+def _unread_overrides(overrides: Sequence[str]) -> Iterator[ConfigError]:
     for text in overrides:
         found = _KEY.match(text)
         key, where = found[1] if found else "", f"override {text}"
         if _name(key) in _OF_SWEEPS:
             message = "this is a setting of a sweep, and this is one run"
             expected = "-m (--multirun) in addition, or neither"
-            errors.append(ConfigError(message, key=key, where=where, expected=expected))
+            yield ConfigError(message, key=key, where=where, expected=expected)
         elif is_unread(text):
-            errors.append(unread_setting(key, where))
-    return errors
+            yield unread_setting(key, where)
 
 
 def _name(key: str) -> str:
@@ -132,11 +130,6 @@ class Composed:
             error.where = self.provenance.where(error.key)
 
     @property
-    def files(self) -> list[Path]:
-        """Return the paths of the config files from which Hydra composed the config."""
-        return [loaded.file for loaded in self.loader.repository_used.loaded.values()]
-
-    @property
     def asset_roots(self) -> tuple[Path, ...]:
         """Return the folders in which ``paths.find_asset`` searches for the user's robot files."""
         return tuple(root for d in self.config_dirs for root in (d.parent / "assets", d.parent))
@@ -165,7 +158,7 @@ def compose(
     Hydra settings such as ``hydra.launcher`` raise no error.
     """
     texts = override_texts(overrides)
-    unread = [] if launching else _unread_overrides(texts)
+    unread = [] if launching else list(_unread_overrides(texts))
     if unread:
         raise_all(unread)
     folders = tuple(config_folder(folder) for folder in config_dirs)
@@ -197,21 +190,19 @@ def _resolve(raw: DictConfig, provenance: Callable[[], Provenance]) -> dict[str,
         resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
         other = ConfigError(_flat(error), key=str(error.full_key) if error.full_key else None)
-        raise_all(_unresolved(raw, provenance()) or [other], error)
+        raise_all(list(_unresolved(raw, provenance())) or [other], error)
     return {str(key): value for key, value in resolved.items()} if isinstance(resolved, dict) else {}
 
 
-def _unresolved(raw: DictConfig, places: Provenance) -> list[ConfigError]:
-    errors: list[ConfigError] = []
+def _unresolved(raw: DictConfig, places: Provenance) -> Iterator[ConfigError]:
     for keys, value in leaves(OmegaConf.to_container(raw, resolve=False)):
         path = dotted(keys)
         if value == MISSING or (isinstance(value, list) and MISSING in value):
-            errors.append(MissingValue(key=path, where=places.where(path), expected=f"{path}=<value>"))
+            yield MissingValue(key=path, where=places.where(path), expected=f"{path}=<value>")
         elif "${" in str(value):
             message = _interpolation_message(raw, path)
             if message is not None:
-                errors.append(_dangling(raw, message, path, places.where(path)))
-    return errors
+                yield _dangling(raw, message, path, places.where(path))
 
 
 def _interpolation_message(raw: DictConfig, path: str) -> str | None:
@@ -285,9 +276,8 @@ def require_read(
         other = apply_overrides(after, [])
         parent = _parent(other, keys, text)
         old = parent.get(keys[-1], _ANOTHER_VALUE)
-        parent[keys[-1]] = (
-            {**(old or {}), _ANOTHER_VALUE: None} if old is None or isinstance(old, Mapping) else _ANOTHER_VALUE
-        )
+        is_section = old is None or isinstance(old, Mapping)
+        parent[keys[-1]] = {**(old or {}), _ANOTHER_VALUE: None} if is_section else _ANOTHER_VALUE
         if read(after) == read(tree) == read(other):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))

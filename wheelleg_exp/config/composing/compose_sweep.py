@@ -26,8 +26,8 @@ from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import Composed, compose, is_unread, override_texts, unread_setting
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
 from wheelleg_exp.config.composing.hydra_errors import translate, where_of
-from wheelleg_exp.config.config_errors import not_one_of, override_of, parts, raise_all
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.config.config_errors import override_of, parts, raise_all
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.packages import config_folder
 
 QUEUES = ("submitit_local", "submitit_slurm", "ray")
@@ -147,7 +147,8 @@ def compose_sweep(
         texts = [f"{key}={value}" for key, value in params.items()]
         of_files = OverridesParser.create(config_loader=loader).parse_overrides(texts)
         jobs = _expand(of_files + [o for o in accepted if o not in own])
-        mistakes += [] if multirun is None else _refuse_chosen(multirun)
+        if multirun is not None:
+            mistakes += _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
     # Report a mistake in a swept key once, not once for each job.
     if mistakes:
@@ -180,7 +181,6 @@ def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
     elif is_unread(key) or (values is None and override.is_hydra_override() and override.is_delete()):
         yield unread_setting(key, where)
     elif override.is_sweep_override():
-        key, where = override.key_or_group, where_of(override)
         if not override.is_discrete_sweep():
             expected = "single values, as in choice(0.1,0.5) or range(0,1,0.1)"
             yield ConfigError("an interval has no single values to train", key=key, where=where, expected=expected)
@@ -246,17 +246,15 @@ def _chosen(own: Sequence[Override]) -> str:
     return next((str(o.value()) for o in own if o.key_or_group == "hydra/launcher"), "basic")
 
 
-def _refuse_chosen(multirun: DictConfig) -> list[ConfigError]:
-    errors = []
+def _refuse_chosen(multirun: DictConfig) -> Iterator[ConfigError]:
     choices = multirun.hydra.runtime.choices
     for group, known in (("hydra/launcher", LAUNCHERS), ("hydra/sweeper", _SWEEPERS)):
         if choices[group] not in known:
             expected = "one of " + ", ".join(known)
-            errors.append(ConfigError(f"'{choices[group]}' is not supported", key=group, expected=expected))
+            yield ConfigError(f"'{choices[group]}' is not supported", key=group, expected=expected)
     if multirun.hydra.launcher.get("n_jobs") == 0:
         expected = "1, 2, ... jobs at once, or -1 for one per core"
-        errors.append(ConfigError("no job would ever run", key="hydra.launcher.n_jobs", expected=expected))
-    return errors
+        yield ConfigError("no job would ever run", key="hydra.launcher.n_jobs", expected=expected)
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:

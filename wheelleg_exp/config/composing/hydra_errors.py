@@ -18,9 +18,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, Repository, missing_headers
-from wheelleg_exp.config.config_errors import AbsentKey, join, not_one_of
+from wheelleg_exp.config.config_errors import AbsentKey, join
 from wheelleg_exp.config.explaining.key_documentation import KEYS
-from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 
@@ -36,17 +36,15 @@ def where_of(override: Override) -> str:
     return f"override {override.input_line}"
 
 
-def _option_problems(loader: Loader, parsed: Sequence[Override]) -> list[ConfigError]:
-    problems = []
+def _option_problems(loader: Loader, parsed: Sequence[Override]) -> Iterator[ConfigError]:
     for override in parsed:
         group = override.key_or_group
         if isinstance(override.value(), dict) or override.is_hydra_override():
             continue
         if loader.repository_used.group_exists(group):
-            problems += _value_problems(loader.repository_used, override)
+            yield from _value_problems(loader.repository_used, override)
         elif override.package is not None:
-            problems.append(_no_group(loader, group, where_of(override)))
-    return problems
+            yield _no_group(loader, group, where_of(override))
 
 
 def _no_group(loader: Loader, group: str, where: str | None) -> ConfigError:
@@ -99,24 +97,19 @@ def place_of_option(repository: Repository, parent: str, path: str) -> str | Non
 
 def _defaults_line(file: Path, path: str) -> int | None:
     group, _, name = path.rpartition("/")
-    for key, value in _defaults_entries(file):
-        if key is not None and key.split(" ")[-1].lstrip("/") == path:
-            return value.start_mark.line + 1
-        scalars = value.value if isinstance(value, yaml.SequenceNode) else [value]
-        for scalar in scalars:
-            mounted = key is None or key.split("@")[0].split(" ")[-1].lstrip("/").endswith(group.rsplit("/", 1)[-1])
-            if mounted and str(scalar.value).lstrip("/") in (name, path):
-                return scalar.start_mark.line + 1
-    return lookup.scalar_line(file, name, path, f"/{path}")
-
-
-def _defaults_entries(file: Path) -> Iterator[tuple[str | None, yaml.Node]]:
-    """Yield the key and value of each entry of a file's defaults list; the key is None for ``_self_``, for example."""
     for item in lookup.defaults_items(file):
-        if isinstance(item, yaml.MappingNode):
-            yield from ((str(key.value), value) for key, value in item.value)
-        else:
-            yield None, item
+        is_mapping = isinstance(item, yaml.MappingNode)
+        # An entry such as ``_self_`` has no key.
+        pairs = [(str(key.value), value) for key, value in item.value] if is_mapping else [(None, item)]
+        for key, value in pairs:
+            if key is not None and key.split(" ")[-1].lstrip("/") == path:
+                return value.start_mark.line + 1
+            scalars = value.value if isinstance(value, yaml.SequenceNode) else [value]
+            for scalar in scalars:
+                mounted = key is None or key.split("@")[0].split(" ")[-1].lstrip("/").endswith(group.rsplit("/", 1)[-1])
+                if mounted and str(scalar.value).lstrip("/") in (name, path):
+                    return scalar.start_mark.line + 1
+    return lookup.scalar_line(file, name, path, f"/{path}")
 
 
 def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Override]) -> ConfigError:
@@ -181,8 +174,8 @@ def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntr
 
 
 def _mounted_names(repository: Repository) -> list[str]:
-    keys = [k for loaded in repository.loaded.values() for k, _ in _defaults_entries(loaded.file) if k is not None]
-    return list(dict.fromkeys(key.split(" ")[-1].lstrip("/") for key in keys if not key.startswith("override ")))
+    entries = (entry for loaded in repository.loaded.values() for entry in lookup.defaults_entries(loaded.file))
+    return list(dict.fromkeys(entry.key.lstrip("/") for entry in entries if not entry.override))
 
 
 def flat(error: BaseException) -> str:
@@ -213,7 +206,7 @@ def translate(error: Exception, loader: Loader, primary: str, overrides: Sequenc
     if found:
         return join(found)
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or _option_problems(loader, parsed)
+    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or list(_option_problems(loader, parsed))
     if found:
         return join(found)
     if isinstance(error, MissingConfigException):

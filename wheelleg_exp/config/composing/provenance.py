@@ -129,8 +129,7 @@ class _Replay:
             before: dict[Keys, Source] = {}
             for leaf, old in self.sources.items():
                 before |= inside if leaf in inside and leaf not in before else {leaf: old}
-            self.sources = before
-            self.sources = {leaf: old for leaf, old in self.sources.items() if leaf not in set(gone)}
+            self.sources = {leaf: old for leaf, old in before.items() if leaf not in set(gone)}
 
     def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
         """Replace the sources of the keys ``hidden`` by one source, at the first of their positions."""

@@ -12,7 +12,6 @@ import enum
 import hashlib
 import inspect
 import json
-import os
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -26,6 +25,7 @@ from wheelleg_exp.config.checking.check_agent import RESOLVERS, known_words
 from wheelleg_exp.config.explaining.key_documentation import is_own
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.files import write_text
 from wheelleg_exp.paths import cache_dir, configs_dir
 from wheelleg_exp.terms.config_values import limit_words, options_in, type_words
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -157,7 +157,6 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
         return CompletionView(**json.loads(file.read_text(encoding="utf-8")))
     from wheelleg_exp.config.composing.compose import compose  # If the cache lacks the config, import Hydra (slow).
 
-    made = None
     for words in (list(before), [word for word in before if word.startswith("task=")], []):
         try:
             composed = compose(words, primary=primary, config_dirs=config_dirs)
@@ -165,18 +164,13 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
             continue
         groups = {group: composed.loader.options(group) for group in composed.loader.groups()}
         made = CompletionView(composed.raw_tree, {mount.name: mount.several for mount in composed.mounts}, groups)
-        break
-    if made is not None:
-        with contextlib.suppress(OSError, TypeError):
-            text = json.dumps(asdict(made))
-            file.parent.mkdir(parents=True, exist_ok=True)
-            temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-            temporary.write_text(text, encoding="utf-8")
-            temporary.replace(file)
+        with contextlib.suppress(OSError, TypeError, WheellegError):
+            write_text(file, json.dumps(asdict(made)))
             stored = sorted(file.parent.glob("*.json"), key=lambda path: path.stat().st_mtime)
             for old in stored[:-_MOST_VIEWS]:
                 old.unlink(missing_ok=True)
-    return made
+        return made
+    return None
 
 
 def complete_override(

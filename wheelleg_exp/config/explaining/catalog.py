@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -13,11 +13,10 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from wheelleg_exp.config.composing.config_loader import Loader, chosen_file, hydra_globals
-from wheelleg_exp.config.config_errors import not_one_of
 from wheelleg_exp.config.explaining.key_documentation import headline, is_own
 from wheelleg_exp.config.tree_lookup import file_text
 from wheelleg_exp.constraints import NotEmpty
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.plain_data import yaml_tree
 from wheelleg_exp.terms.config_values import constraints_in, describe
 from wheelleg_exp.terms.term_binding import INJECTED, RESERVED, TARGET, resolve_target, signature_parameters
@@ -209,5 +208,4 @@ def _with_docstring(entry: Entry) -> Entry:
         target = resolve_target(str(entry.target), f"{entry.group}.{entry.name}")
     except (ConfigError, ImportError):
         return entry
-    text = headline(target)
-    return Entry(entry.group, entry.name, text or entry.help, entry.file, entry.target)
+    return replace(entry, help=headline(target) or entry.help)

@@ -217,17 +217,16 @@ def _is_there(tree: Any, keys: Keys) -> bool:
 
 def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanation | None:
     path = dotted(keys)
-    term = key_slots.term_keys(keys)
+    term = next((keys[:n] for n in (3, 5) if key_slots.section_of(keys[:n]) is not None), None)
     if term is not None and dotted(term) in composed.removed_terms:
         source = composed.provenance[dotted(term)]
         inside = [s for s in source.shadowed if split_path(s.path)[: len(keys)] == keys]
         notes = meanings(tree, keys, None, source.shadowed)
         return Explanation(path, "removed", sources=(*inside, source), meanings=notes)
-    deleted = {p: s for p, s in composed.provenance.deleted.items() if split_path(p)[: len(keys)] == keys}
+    deleted = composed.provenance.deleted_below(path)
     if deleted and not _is_there(tree, keys):
-        first = next(iter(deleted.values()))
-        earlier = tuple(s for source in deleted.values() for s in source.shadowed)
-        gone = Source(path, None, override=first.override)
+        earlier = tuple(s for source in deleted for s in source.shadowed)
+        gone = Source(path, None, override=deleted[0].override)
         return Explanation(path, "removed", sources=(*earlier, gone), meanings=meanings(tree, keys, None, earlier))
     return None
 

@@ -59,11 +59,7 @@ def shapes(composed: Composed) -> Shapes:
 
     config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}
     with composed.placing():
-        return shapes_of(build_env(config, composed.asset_roots))
-
-
-def shapes_of(env: ManagerBasedRLEnv) -> Shapes:
-    """Return the layout of an environment's observations and actions."""
+        env = build_env(config, composed.asset_roots)
     groups = {group: _group(env, group) for group in env.observation_manager.active_terms}
     manager = env.action_manager
     made, start = [], 0
