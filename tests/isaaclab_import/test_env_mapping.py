@@ -121,7 +121,7 @@ def test_what_isaac_lab_3_writes_differently() -> None:
     text = ENV
     for key, value in {
         "sim.physx": None,
-        "sim.physics": {"solver": "newton"},
+        "sim.physics": {"num_substeps": 2, "solver_cfg": {"solver_type": "mujoco_warp", "iterations": 70}},
         f"{robot}.spawn.articulation_props": fragments,
         f"{robot}.spawn.fix_root_link": True,
         f"{legs}.effort_limit": None,
@@ -144,6 +144,7 @@ def test_what_isaac_lab_3_writes_differently() -> None:
     found, env = mapping.robot, mapping.env
     assert found["init_state"]["rot"] == [0.0, 1.0, 0.0, 0.0]
     assert found["base"] == "fixed"
+    assert env["sim"]["iterations"] == 70
     assert found["self_collisions"] is True
     assert found["actuators"]["legs"]["velocity_limit"] == 20.0
     assert set(found["actuators"]["legs"]["effort_limit"].values()) == {2.2}
@@ -153,6 +154,7 @@ def test_what_isaac_lab_3_writes_differently() -> None:
     assert env["observations"]["policy"]["terms"]["gravity"]["delay"] == [4, 8]
     assert env["rewards"]["air_time"]["_target_"].endswith(".feet_air_time")
     rows = {row.key: row.text for row in report.of(DROPPED)}
+    assert "sim.physics.num_substeps" in rows
     assert "0.5" in rows["observations.policy.gravity.delay_hold_prob"]
     assert "resample_interval_on_reset" in rows["events.push"]
     assert "7.0" in rows["scene.robot.actuators.wheels.actuator_effort_limit"]
@@ -270,7 +272,7 @@ def test_author_terms(tmp_path: Path) -> None:
 
 def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
     (tmp_path / "rewards.py").write_text(LAB_3)
-    author = AuthorTerms(tmp_path, "new")
+    author = AuthorTerms(tmp_path, "new", version_3=True)
     assert author.target("lab.rewards:effort") == "new.rewards.effort"
     text = author.modules()["rewards"]
     assert "data.applied_torque[:, ids].sum(1)" in text

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
-from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, write_run, write_terms
+from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
 from tests.isaaclab_import.test_env_mapping import converted, numbers
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env.realism import with_realism
-from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, IsaacLabEnv
+from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, TILES, IsaacLabEnv
 from wheelleg_exp.plain_data import tagged_yaml_value
 
 NAMES = yaml.safe_load(Path("docs/isaaclab_names.yaml").read_text())["names"]
@@ -32,7 +33,7 @@ def test_each_number_of_an_isaac_lab_config_comes_back() -> None:
     tree = tagged_yaml_value(ENV)
     mapping, _, _ = converted(ENV, AGENT)
     made = IsaacLabEnv({**mapping.env, "robot": {**mapping.robot, "asset": "robot.usd"}}, mapping.seed or 0)
-    assert made.notes == []
+    assert [note.split(":")[0] for note in made.notes] == ["robot.asset", "sim"]
     compared = 0
     for path in numbers(tree):
         there, here = tree, made.tree
@@ -58,10 +59,32 @@ def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str
         "rewards.travel_error: Isaac Lab has no travel_error_l2",
         "observations.policy.base_ang_vel.noise: Isaac Lab has no SensorErrors",
         "actions.leg_pos.delay: Isaac Lab's terms have no delay",
-        "scene.terrain.sub_terrains.rough: Isaac Lab has no UniformNoise",
-        "scene.terrain.origin_window: Isaac Lab's TerrainGenerator has no such setting",
+        "scene.terrain.sub_terrains.rough: Isaac Lab has no tile UniformNoise",
     ):
         assert note in notes
+
+
+def test_each_tile_comes_back() -> None:
+    tiles: dict[str, dict[str, Any]] = {
+        function: {"function": f"isaaclab.terrains:{function}", "proportion": 0.1} for function in TILES
+    }
+    tiles["pyramid_sloped_terrain"] |= {"slope_range": [0.1, 0.4], "inverted": True, "platform_width": 1.0}
+    tiles["pit_terrain"] |= {"pit_depth_range": [0.1, 0.2], "double_pit": True}
+    tiles["box_terrain"] |= {"box_height_range": [0.1, 0.2], "double_box": False}
+    generator = {"size": [8.0, 8.0], "sub_terrains": tiles}
+    text = changed(
+        changed(ENV, "scene.terrain.terrain_type", "generator"), "scene.terrain.terrain_generator", generator
+    )
+    mapping, _, _ = converted(text, AGENT)
+    made = IsaacLabEnv({**mapping.env, "robot": {**mapping.robot, "asset": "robot.usd"}}, 0)
+    found = made.tree["scene"]["terrain"]["terrain_generator"]["sub_terrains"]
+    assert not [note for note in made.notes if "terrain" in note]
+    for name, tile in tiles.items():
+        assert found[name].pop("function").rpartition(":")[2] == name
+        expected = {key: value for key, value in tile.items() if key not in ("function", "slope_range")}
+        assert {key: value for key, value in found[name].items() if key != "slope_range"} == expected
+    assert found["pyramid_sloped_terrain"]["slope_range"] == pytest.approx([0.1, 0.4])
+    assert found["pyramid_sloped_terrain"]["inverted"] is True
 
 
 def test_an_exported_run_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

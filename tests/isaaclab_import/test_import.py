@@ -240,6 +240,7 @@ def _limx(folder: Path) -> None:
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 WIDE = {"func": "isaaclab.envs.mdp.observations:joint_pos_rel", "params": {}}
+OTHER = "actor: {distribution_cfg: {class_name: HeteroscedasticGaussianDistribution}}\n"
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no folder": (lambda f: shutil.rmtree(f), "does not exist"),
     "no env.yaml": (lambda f: (f / "params/env.yaml").unlink(), "contains no run"),
@@ -286,6 +287,10 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "another network": (_state(model_state_dict={"estimator.0.weight": torch.ones(1, 1)}), "another network"),
     "recurrent": (_state(model_state_dict={"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}), "recurrent"),
     "NaN": (_with_nan, "NaN"),
+    "half lags": (_edit("observations.policy.gravity.delay_max_lag", 2.5), "delay_max_lag: .*whole numbers"),
+    "text for a limit": (_edit("scene.robot.actuators.legs.effort_limit_sim", "big"), "legs.joint_effort_limit"),
+    "unknown joint": (_edit("scene.robot.actuators.legs.saturation_effort", {"x": 4.0}), "saturation_effort"),
+    "other distribution": (_replace("params/agent.yaml", AGENT + OTHER), "distribution_cfg.class_name"),
     "encoder": (_limx, "encoder"),
     "agent is text": (_replace("params/agent.yaml", "ppo"), "no mapping"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
 from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, print_json
@@ -11,7 +12,7 @@ from wheelleg_exp.errors import EXIT_OK
 
 _NEXT = {
     "bundle": "python {folder}/simulate.py   (numpy and mujoco)",
-    "isaaclab": "use params/env.yaml in Isaac Lab, or: wheelleg import {folder} --robot FILE -o PROJECT",
+    "isaaclab": "load the policy and params/env.yaml in Isaac Lab (docs/isaaclab.md)",
     "leapp": "give policy.yaml to the ros2_control runtime of the robot",
 }
 
@@ -51,6 +52,6 @@ def run(args: argparse.Namespace) -> int:
     for margin in made.margins:
         print(f"largest survived {margin.name}: {margin.policy:.3g} {margin.unit}")
     for note in made.notes:
-        print(f"it lacks {note}")
-    print(f"next: {_NEXT[args.format].format(folder=shown(made.folder))}")
+        print(f"not exported: {note}" if args.format == "isaaclab" else f"it lacks {note}")
+    print(f"next: {_NEXT[args.format].format(folder=shlex.quote(shown(made.folder)))}")
     return EXIT_OK

@@ -8,18 +8,13 @@ from typing import Any
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, NAME, RULE, ImportReport, Section
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights
+from wheelleg_exp.jobs.export.isaaclab_run import PPO, RUNNER
 
-RUNNER = ("num_steps_per_env", "max_iterations", "save_interval", "clip_actions")
-PPO = (
-    *("num_learning_epochs", "num_mini_batches", "clip_param", "gamma", "lam", "value_loss_coef", "entropy_coef"),
-    *("learning_rate", "max_grad_norm", "use_clipped_value_loss", "schedule", "desired_kl"),
-    *("normalize_advantage_per_mini_batch", "optimizer"),
-)
 _NOT_LEARNING = (
     *("seed", "device", "experiment_name", "run_name", "logger", "neptune_project", "wandb_project", "resume"),
     *("load_run", "load_checkpoint", "class_name", "upload_model", "torch_compile_mode", "check_for_nan"),
 )
-_MODEL_SKIPPED = ("class_name", "stochastic", "init_noise_std", "noise_std_type", "distribution_cfg")
+_MODEL_SKIPPED = ("stochastic", "init_noise_std", "noise_std_type", "distribution_cfg", "state_dependent_std")
 _LIBRARIES = ("agent", "models", "trainer", "params", "seed")  # skrl, rl_games, stable-baselines3
 
 
@@ -50,7 +45,7 @@ def convert_agent(
     else:
         if weights is not None and of_networks is None:
             report.add("agent.yaml.policy.activation", ASSUMED, f"{activation}: the policy file does not name it")
-        report.add("agent.yaml", ASSUMED, "there is none: the stock settings of PPO, with the networks of the policy")
+        report.add("agent.yaml", ASSUMED, "missing: the stock settings of PPO, with the networks of the policy")
     actor.finish(skip=_MODEL_SKIPPED)
     critic.finish(skip=_MODEL_SKIPPED)
     policy.finish(skip=["class_name"])
@@ -72,15 +67,17 @@ def _obs_groups(given: Mapping[str, Any], groups: Sequence[str]) -> dict[str, li
 
 
 def _algorithm(part: Section) -> dict[str, Any]:
+    _require_class(part, "PPO")
     settings = part.take_if_known(PPO)
     part.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
-    part.finish(skip=["class_name"])
+    part.finish()
     return settings
 
 
 def _model(role: str, own: Section, policy: Section, activation: str, normalized: bool) -> dict[str, Any]:
     """Return a network's settings, from its own section or from the section ``policy`` of older versions of rsl_rl."""
     hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
+    _require_class(own, "MLPModel")
     flag = own.take("obs_normalization", policy.take(f"{role}_obs_normalization", normalized))
     model = {"class_name": "MLPModel", "hidden_dims": list(hidden), "activation": own.take("activation", activation)}
     return model | {"obs_normalization": bool(flag)}
@@ -88,15 +85,26 @@ def _model(role: str, own: Section, policy: Section, activation: str, normalized
 
 def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None) -> dict[str, Any]:
     """Return the settings of the distribution of the actions."""
-    if policy.take("state_dependent_std"):
-        key, expected = "agent.yaml: policy.state_dependent_std", "a standard deviation that is the same in all states"
+    if policy.take("state_dependent_std") or actor.take("state_dependent_std"):
+        key, expected = "agent.yaml: state_dependent_std", "a standard deviation that is the same in all states"
         raise ConfigError("the deviation of the actions depends on the state", key=key, expected=expected)
-    given = {"init_std": policy.take("init_noise_std", 1.0), "std_type": policy.take("noise_std_type", "scalar")}
+    given = actor.section("distribution_cfg")
+    _require_class(given, "GaussianDistribution")
+    std = given.take("init_std", policy.take("init_noise_std", 1.0))
+    std_type = policy.take("noise_std_type", "scalar")
     if weights is not None and weights.std is not None:
-        given["std_type"] = "log" if weights.log_std else "scalar"
-    given |= actor.take("distribution_cfg", {})
-    made = {"class_name": "GaussianDistribution", "init_std": float(given["init_std"])}
-    return made if given["std_type"] == "scalar" else made | {"std_type": given["std_type"]}
+        std_type = "log" if weights.log_std else "scalar"
+    std_type = given.take("std_type", std_type)
+    given.finish()
+    made = {"class_name": "GaussianDistribution", "init_std": float(std)}
+    return made if std_type == "scalar" else made | {"std_type": std_type}
+
+
+def _require_class(part: Section, known: str) -> None:
+    """Raise ConfigError if a section names another class than the known one."""
+    name = part.take("class_name", known)
+    if name != known:
+        raise ConfigError(f"'{name}' does not exist here", key=f"{part.key}.class_name", expected=known)
 
 
 def _adopt(agent: dict[str, Any], weights: PolicyWeights, report: ImportReport) -> None:

@@ -18,14 +18,20 @@ from wheelleg_exp.files import read_text
 _MOST_FILES = 20_000
 _PACKAGES = ("isaaclab", "isaaclab_tasks")
 _LIBRARIES = ("torch", "numpy", "math", "typing", "collections", "dataclasses", "scipy")
+# Attributes of contact sensors in Isaac Lab 3.0, and their names in 2.3.2.
+_FORCES = ("net_{}forces_w", "net_{}forces_w_history", "{}force_matrix_w", "{}force_matrix_w_history")
+_ATTRIBUTES_OF_3 = {name.format("normal_"): name.format("") for name in _FORCES}
 _OLD = {"omni.isaac.lab_tasks": "isaaclab_tasks", "omni.isaac.lab": "isaaclab"}
 
 
 class AuthorTerms:
-    """The Python files below a folder, and the modules that ``target`` has made of them, by name, as text."""
+    """The Python files below a folder, and the modules that ``target`` has made of them, by name, as text.
 
-    def __init__(self, folder: Path | None, package: str) -> None:
-        self._package = package
+    ``version_3`` says that the files were written for Isaac Lab 3.0.
+    """
+
+    def __init__(self, folder: Path | None, package: str, version_3: bool = False) -> None:
+        self._package, self._version_3 = package, version_3
         self._files: list[Path] = []
         if folder is not None:
             if not folder.is_dir():
@@ -74,7 +80,8 @@ class AuthorTerms:
     def _definitions(self, file: Path) -> dict[str, ast.stmt]:
         if file not in self._trees:
             try:
-                self._trees[file] = _adapted(_OfVersion3().visit(ast.parse(read_text(file))))
+                tree = ast.parse(read_text(file))
+                self._trees[file] = _adapted(_OfVersion3().visit(tree) if self._version_3 else tree)
             except (SyntaxError, ValueError, RecursionError, WheellegError):
                 self._trees[file] = ast.Module([], [])
         return {name: part for part in self._trees[file].body for name in _defined(part)}
@@ -182,18 +189,19 @@ def _adapted(tree: ast.Module) -> ast.Module:
 
 
 class _OfVersion3(ast.NodeTransformer):
-    """Replace what only Isaac Lab 3.0 has: ``x.torch`` and ``wp.to_torch(x)`` become ``x``, and names become older."""
+    """Replace what only Isaac Lab 3.0 has by what 2.3.2 has: ``x.torch`` and ``wp.to_torch(x)`` become ``x``."""
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         self.generic_visit(node)
-        node.attr = re.sub(r"(_to_sim|_target)_index$", r"\1", node.attr.replace("normal_force", "force"))
+        node.attr = _ATTRIBUTES_OF_3.get(node.attr, re.sub(r"(_to_sim|_target)_index$", r"\1", node.attr))
         if isinstance(node.value, ast.Attribute) and node.value.attr == "actuators" and node.attr.endswith("_effort"):
             node.value.attr, node.attr = "data", node.attr.replace("_effort", "_torque")
         return node.value if node.attr == "torch" else node
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
         self.generic_visit(node)
-        return node.args[0] if isinstance(node.func, ast.Attribute) and node.func.attr == "to_torch" else node
+        is_conversion = ast.unparse(node.func) in ("wp.to_torch", "warp.to_torch") and len(node.args) == 1
+        return node.args[0] if is_conversion else node
 
 
 def _configs(part: ast.AST) -> set[str]:

@@ -167,7 +167,7 @@ def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list
     """Return the policy's joints in their order, and those of them that are wheels."""
     listed = config.get("joint_names") or config.get("joint_controller_names")
     if listed is None:
-        message, expected = "the joints are not named", "rl_sar's base.yaml beside it"
+        message, expected = "the joints are not named", "rl_sar's base.yaml in the folder or above it"
         raise RunDirectoryError(message, key="joint_names", where=where, expected=expected)
     unknown = [name for name in listed if name not in names]
     if unknown:

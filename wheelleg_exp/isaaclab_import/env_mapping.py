@@ -23,13 +23,15 @@ from wheelleg_exp.isaaclab_import.import_report import (
     Section,
     shown,
 )
-from wheelleg_exp.isaaclab_import.term_mapping import KINDS, TermMapping, UserTarget, entity, last_name, parameters_of
+from wheelleg_exp.isaaclab_import.term_mapping import TermMapping, UserTarget, entity, last_name, parameters_of
+from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, PATTERNS, PIT_NAMES, TILES
 from wheelleg_exp.sim.names import values_by_name
 
 Tree = Mapping[str, Any]
 _DRAWN = "nothing is drawn during training"
 _STAGE = "there is no Omniverse stage"
-_PHYSX = "a setting of the physics engine; MuJoCo solves contacts differently"
+_ENGINE = "a setting of another physics engine or of its memory"
+_SOLVER = ("solver", "integrator", "cone", "impratio", "iterations", "ls_iterations", "tolerance")
 _RECORDED = "runs are recorded in their own format"
 _ROOT_DROPPED = {
     _DRAWN: (
@@ -45,7 +47,7 @@ _SIM_DROPPED = {
         *("device", "render_interval", "render", "use_fabric", "enable_scene_query_support", "create_stage_in_memory"),
     ),
     _STAGE: ("physics_prim_path", "logging_level", "save_logs_to_file", "log_dir", "visualizer_cfgs"),
-    _PHYSX: ("physx", "physics", "disable_contact_processing", "use_gpu_pipeline", "use_newton_actuators"),
+    _ENGINE: ("physx", "disable_contact_processing", "use_gpu_pipeline", "use_newton_actuators"),
 }
 _SCENE_DROPPED = (
     *("lazy_sensor_update", "replicate_physics", "filter_collisions", "clone_in_fabric", "class_type", "clone_cfg"),
@@ -55,13 +57,15 @@ _SPAWN_DROPPED = (
     *("visual_material", "make_instanceable", "force_usd_conversion", "usd_dir", "usd_file_name", "merge_fixed_joints"),
     "physics_material_path",
 )
-# Keys of the robot, the terrain, and sensors that do not change the simulation.
-_UNUSED = (
-    *("class_type", "prim_path", "articulation_root_prim_path", "collision_group", "debug_vis", "visualizer_cfg"),
-    *("visual_material", "color_scheme", "use_cache", "cache_dir", "num_envs", "env_spacing", "use_terrain_origins"),
-    *("actuator_value_resolution_debug_print", "mesh_prim_paths", "spawn", "global_world_only", "use_cuda_graph"),
-    *("normal_force_visualizer_cfg", "friction_force_visualizer_cfg", "force_visualization_scale"),
-    "convert_to_heightfield",
+# Keys that do not change the simulation, of the robot, the terrain, its generator, and sensors.
+_UNUSED = ("class_type", "prim_path", "collision_group", "debug_vis")
+_ROBOT_UNUSED = (*_UNUSED, "articulation_root_prim_path", "actuator_value_resolution_debug_print")
+_TERRAIN_UNUSED = (*_UNUSED, "num_envs", "env_spacing", "use_terrain_origins", "visual_material")
+_GENERATOR_UNUSED = ("class_type", "color_scheme", "use_cache", "cache_dir")
+_SENSOR_UNUSED = (
+    *_UNUSED,
+    *("visualizer_cfg", "normal_force_visualizer_cfg", "friction_force_visualizer_cfg", "force_visualization_scale"),
+    *("spawn", "mesh_prim_paths", "global_world_only", "use_cuda_graph"),
     *("max_contact_data_count_per_prim", "max_contact_data_per_prim"),
 )
 # PhysX combines two materials with the mode of higher priority.
@@ -70,17 +74,6 @@ _ACTUATORS = {
     "ImplicitActuator", "IdealPDActuator", "DCMotor", "DelayedPDActuator", "RemotizedPDActuator", "ActuatorNetMLP",
     "ActuatorNetLSTM",
 }  # fmt: skip
-PATTERNS = {"grid_pattern": "GridPattern", "lidar_pattern": "LidarPattern", "bpearl_pattern": "BpearlPattern"}
-# Isaac Lab's functions of terrain tiles, and the classes here.
-TILES = {
-    "flat_terrain": "Flat", "random_uniform_terrain": "RandomUniform", "pyramid_sloped_terrain": "PyramidSlope",
-    "pyramid_stairs_terrain": "PyramidStairs", "inverted_pyramid_stairs_terrain": "PyramidStairs",
-    "random_grid_terrain": "RandomGrid", "discrete_obstacles_terrain": "DiscreteObstacles", "wave_terrain": "Waves",
-    "stepping_stones_terrain": "SteppingStones", "gap_terrain": "Gap", "rails_terrain": "Rails", "box_terrain": "Box",
-    "pit_terrain": "Box",
-}  # fmt: skip
-_INVERTED = ("inverted_pyramid_stairs_terrain", "pit_terrain")
-TILE_NAMES = {"pit_depth_range": "box_height_range", "double_pit": "double_box", "flat_patch_sampling": "flat_patches"}
 # Keys with values by joint expression, besides those with ``joint`` in their names.
 _BY_JOINT = (
     *("scale", "offset", "clip", "stiffness", "damping", "effort_limit", "velocity_limit", "effort_limit_sim"),
@@ -114,8 +107,7 @@ class EnvMapping:
         self._root = Section(self._names.applied(tree), "", report)
         self._dofs, self._user_target, self._report = dofs, user_target, report
         self._robot_name = "robot"
-        # Isaac Lab 3.0 has ``sim.physics`` instead of ``sim.physx``, and quaternions (x, y, z, w).
-        self._xyzw = "physx" not in (tree.get("sim") or {"physx": None})
+        self._xyzw = is_version_3(tree)  # Isaac Lab 3.0 has quaternions (x, y, z, w).
         self.robot: dict[str, Any] = {}
         self.env: dict[str, Any] = {}
         self.seed: int | None = None
@@ -136,8 +128,9 @@ class EnvMapping:
         sim = root.section("sim")
         material = sim.section("physics_material")
         self.env["sim"] = {"dt": sim.take("dt", 1 / 60), "gravity": sim.take("gravity", [0.0, 0.0, -9.81])}
+        self._newton(sim.section("physics"))
         for reason, names in _SIM_DROPPED.items():
-            sim.drop(names, reason, DROPPED if reason == _PHYSX else NOT_NEEDED)
+            sim.drop(names, reason, DROPPED if reason == _ENGINE else NOT_NEEDED)
         sim.finish()
         self._scene(root.section("scene"), material)
         terms = TermMapping(self.env, self._robot_name, self._user_target, self._report)
@@ -149,6 +142,19 @@ class EnvMapping:
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)
         root.finish()
+
+    def _newton(self, part: Section) -> None:
+        """Take over the settings of MuJoCo's solver, with which Isaac Lab 3.0 can simulate, and report the others."""
+        solver = part.section("solver_cfg")
+        if solver.take("solver_type") == "mujoco_warp":
+            self.env["sim"] |= solver.take_if_known(_SOLVER)
+            self._report.add(solver.key, NAME, f"MuJoCo's solver: {', '.join(_SOLVER)}")
+        steps = part.take("num_substeps", 1)
+        if steps != 1:
+            text = f"{steps}: divide sim.dt by {steps} and multiply decimation by {steps} for the same physics step"
+            self._report.add(f"{part.key}.num_substeps", DROPPED, text)
+        solver.finish(_ENGINE)
+        part.finish(_ENGINE)
 
     def _scene(self, scene: Section, material: Section) -> None:
         self.env["num_envs"] = int(scene.take("num_envs", 4096))
@@ -218,8 +224,8 @@ class EnvMapping:
         state = {
             "pos": init.take("pos", [0.0, 0.0, 0.0]),
             "rot": self._quaternion(init.take("rot"), "scene.robot.init_state.rot"),
-            "joint_pos": _per_joint(init.take("joint_pos", {".*": 0.0})),
-            "joint_vel": _per_joint(init.take("joint_vel", {".*": 0.0})),
+            "joint_pos": _per_joint(init.take("joint_pos", {".*": 0.0}), f"{init.key}.joint_pos"),
+            "joint_vel": _per_joint(init.take("joint_vel", {".*": 0.0}), f"{init.key}.joint_vel"),
         }
         collide = articulation.take("self_collision_enabled")
         self._require_joints({**state["joint_pos"], **state["joint_vel"]})
@@ -239,7 +245,7 @@ class EnvMapping:
         gains = drive.get("gains") if isinstance(drive, Mapping) else None
         at_rest = [name for name in ("lin_vel", "ang_vel") if not any(init.left.get(name) or [])]
         init.finish("resets set the velocity by events", skip=at_rest)
-        articulation.finish(_PHYSX)
+        articulation.finish(_ENGINE)
         spawn.finish("the robot file is not changed; PhysX's limits of bodies have no counterpart", skip=_SPAWN_DROPPED)
         self.robot["actuators"] = {name: self._actuator(node, gains or {}) for name, node in actuators.sections()}
         driven = [text for node in self.robot["actuators"].values() for text in _listed(node["joint_names_expr"])]
@@ -247,7 +253,7 @@ class EnvMapping:
         if free:
             text = f"no actuator drives {', '.join(free)}: these joints of the robot file move freely"
             self._report.add("scene.robot.actuators", ASSUMED, text)
-        part.finish(skip=_UNUSED)
+        part.finish(skip=_ROBOT_UNUSED)
 
     def _actuator(self, part: Section, gains: Tree) -> dict[str, Any]:
         kind = self._actuator_kind(part)
@@ -276,16 +282,18 @@ class EnvMapping:
         values |= {name: part.take(name, gains.get(name)) for name in ("stiffness", "damping")}
         for name, value in values.items():
             if name in accepted:
-                node[name] = self._from_file(part.key, name, joints) if value is None else _per_joint(value)
+                key = f"{part.key}.{name}"
+                node[name] = self._from_file(part.key, name, joints) if value is None else _per_joint(value, key)
         if engine_effort is not None and "effort_limit" in node:
-            node["effort_limit"] = _smaller(node["effort_limit"], engine_effort, joints)
+            engine_effort = _per_joint(engine_effort, f"{part.key}.joint_effort_limit")
+            node["effort_limit"] = _smaller(part.key, node["effort_limit"], engine_effort, joints)
         network = part.take("network_file")
         if network is not None:
             node["network_file"] = re.split(r"[/\\]", str(network))[-1]
             self.networks.append(node["network_file"])
         part.drop(["dynamic_friction"], "MuJoCo has one friction per joint")
         for name, value in part.take_if_known(accepted).items():
-            node[name] = _per_joint(value) if isinstance(value, Mapping) else value
+            node[name] = _per_joint(value, f"{part.key}.{name}") if isinstance(value, Mapping) else value
         part.finish()
         return node
 
@@ -339,7 +347,7 @@ class EnvMapping:
             self._report.add(part.key, NAME, "Plane")
         else:
             self._report.add(part.key, DROPPED, f"terrain of type {kind}: a plane replaces it")
-        part.finish(skip=_UNUSED)
+        part.finish(skip=_TERRAIN_UNUSED)
         return node
 
     def _generator(self, part: Section) -> dict[str, Any]:
@@ -354,18 +362,19 @@ class EnvMapping:
             raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(TILES))
         part.drop(["slope_threshold"], "tiles of boxes have vertical edges, other tiles have slopes")
         part.drop(["border_height"], "the border ends at the level of the ground")
-        part.finish(skip=_UNUSED)
+        part.finish(skip=_GENERATOR_UNUSED)
         return node
 
     def _tile(self, part: Section) -> dict[str, Any] | None:
         function = last_name(part.take("function"))
         if function not in TILES:
-            self._report.add(part.key, DROPPED, f"'{function}' is no tile here; the shares of the other tiles grow")
+            self._report.add(part.key, DROPPED, f"'{function}' does not exist here; the shares of the other tiles grow")
             return None
         kind = TILES[function]
         node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.terrain.{kind}"}
-        node |= {"inverted": True} if function in _INVERTED else {}
-        node |= {TILE_NAMES[name]: value for name, value in part.take_if_known(TILE_NAMES).items()}
+        node |= {"inverted": True} if function in INVERTED else {}
+        renamed = PIT_NAMES | {"flat_patch_sampling": "flat_patches"}
+        node |= {renamed[name]: value for name, value in part.take_if_known(renamed).items()}
         if kind == "PyramidSlope":
             low, high = part.take("slope_range")
             node["slope_range"] = [math.atan(low), math.atan(high)]
@@ -394,7 +403,7 @@ class EnvMapping:
             node["update_period"] = period
         node |= part.take_if_known(("track_pose", "track_contact_points", "track_friction_forces"))
         self._report.add(part.key, NAME, "ContactSensor")
-        part.finish(skip=_UNUSED)
+        part.finish(skip=_SENSOR_UNUSED)
         return node
 
     def _ray_caster(self, part: Section) -> dict[str, Any]:
@@ -410,12 +419,12 @@ class EnvMapping:
         node["pattern"] = {"_target_": target, **pattern.take_if_known(parameters_of(target, part.key))}
         pattern.finish()
         node |= part.take_if_known(("max_distance", "drift_range", "ray_cast_drift_range", "update_period"))
-        part.finish(skip=("history_length", *_UNUSED))
+        part.finish(skip=("history_length", *_SENSOR_UNUSED))
         return node
 
     def _imu(self, part: Section) -> dict[str, Any]:
         node = self._mounted(part, "Imu") | part.take_if_known(("gravity_bias", "update_period"))
-        part.finish(skip=("history_length", *_UNUSED))
+        part.finish(skip=("history_length", *_SENSOR_UNUSED))
         return node
 
     def _mounted(self, part: Section, kind: str) -> dict[str, Any]:
@@ -431,6 +440,11 @@ class EnvMapping:
             return ["ground"]
         last = re.split(r"/(?![^\[]*\])", str(prim_path or ".*"))[-1]  # a set such as [^/] can contain the separator
         return self._names.of(last, "link")
+
+
+def is_version_3(tree: Tree) -> bool:
+    """Return whether Isaac Lab 3.0 has written a config: it has ``sim.physics`` instead of ``sim.physx``."""
+    return "physx" not in (tree.get("sim") or {"physx": None})
 
 
 def _spawn(node: Any) -> Mapping[str, Any]:
@@ -503,11 +517,11 @@ def _file_value(dof: Dof, name: str) -> float:
     return min(limits, default=math.inf)
 
 
-def _smaller(limit: Any, of_engine: Any, joints: list[str]) -> dict[str, float]:
-    """Return the smaller of an explicit actuator's own limit and PhysX's, which clips its torques."""
+def _smaller(key: str, limit: Any, of_engine: Any, joints: list[str]) -> dict[str, float]:
+    """Return the smaller of an explicit actuator's own limit and the engine's, which clips its torques."""
     found = {}
-    own = values_by_name(limit, joints, None, key="effort_limit", what="joint")
-    engine = values_by_name(of_engine, joints, None, key="effort_limit", what="joint")
+    own = values_by_name(limit, joints, None, key=f"{key}.effort_limit", what="joint")
+    engine = values_by_name(of_engine, joints, None, key=f"{key}.joint_effort_limit", what="joint")
     for name, *both in zip(joints, own, engine, strict=True):
         given = [value for value in both if value is not None]
         if given:
@@ -515,14 +529,12 @@ def _smaller(limit: Any, of_engine: Any, joints: list[str]) -> dict[str, float]:
     return found
 
 
-def _per_joint(value: Any) -> Any:
+def _per_joint(value: Any, key: str) -> Any:
     """Return numbers by joint expression as floats, or one number unchanged."""
-    if isinstance(value, Mapping):
-        return {str(name): float(number) for name, number in value.items()}
-    if isinstance(value, list):
-        message = f"{shown(value)} is a list"
-        raise ConfigError(message, key="scene.robot: joint_pos or a gain", expected="numbers by joint expression")
-    return value
+    numbers = list(value.values()) if isinstance(value, Mapping) else [value]
+    if not all(isinstance(number, (int, float)) for number in numbers):
+        raise ConfigError(f"{shown(value)} is not a number", key=key, expected="a number, or one by joint expression")
+    return {str(name): float(number) for name, number in value.items()} if isinstance(value, Mapping) else value
 
 
 def _matches(expressions: Iterable[str], name: str) -> bool:

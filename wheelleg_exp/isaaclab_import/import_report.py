@@ -116,7 +116,7 @@ class Section:
                 self._report.add(self._key_of(name), outcome, f"{shown(value)}: {reason}")
 
     def finish(self, reason: str = "nothing here corresponds to it", skip: Collection[str] = ()) -> None:
-        """Report all remaining keys as dropped, except those in ``skip``, which only repeat what other keys say."""
+        """Report all remaining keys as dropped, except the duplicates and unused keys in ``skip``."""
         self.drop([name for name in self.left if name not in skip], reason)
 
     def _key_of(self, name: str) -> str:

@@ -20,7 +20,7 @@ from wheelleg_exp.files import for_people, temporary_folder, write_bytes
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent, is_runner
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
 from wheelleg_exp.isaaclab_import.deploy_folders import as_isaac_lab
-from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
+from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping, is_version_3
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights, read_policy
 from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_folder, read_names
@@ -71,7 +71,8 @@ def import_run(
     require_robot_file(robot)
     folder, report, display = read_folder(source, policy), ImportReport(), display or Display()
     weights = read_policy(folder.policy) if folder.policy is not None else None
-    author, table = AuthorTerms(terms, path.name), {} if names is None else read_names(names)
+    author = AuthorTerms(terms, path.name, is_version_3(folder.config))
+    table = {} if names is None else read_names(names)
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / path.name
         draft.mkdir()
@@ -86,8 +87,9 @@ def import_run(
         draft.rename(path)
     try:
         run, what = None, ""
+        _try_env(path, task, weights, report)
         if weights is not None:
-            run, what = _write_run(path, task, weights, mapping.lost, command, display, report)
+            run, what = _write_run(path, weights, mapping.lost, command, display, report)
         write(path, {"README.md": _readme(path.name, folder, what, report)})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
@@ -177,7 +179,6 @@ def _remove_failing_terms(draft: Path, task: dict[str, Any], report: ImportRepor
 
 def _write_run(
     path: Path,
-    task: dict[str, Any],
     weights: PolicyWeights,
     lost: Sequence[str],
     command: Sequence[str],
@@ -188,7 +189,6 @@ def _write_run(
     from wheelleg_exp.jobs.train.run_training import record_untrained
 
     configs = [path / projects.CONFIGS]
-    _try_env(path, task, weights, report)
     agent = compose_valid([f"task={path.name}"], config_dirs=configs).config["agent"]
     actor, critic = weights.actor.state(), weights.critic.state() if weights.critic is not None else {}
     std = weights.std
@@ -218,7 +218,7 @@ def _write_run(
     return training.directory.path, what
 
 
-def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights, report: ImportReport) -> None:
+def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights | None, report: ImportReport) -> None:
     """Make a control step of the task without those of the author's terms that fail, and compare the policy's width."""
     words = [f"task={path.name}", "env.num_envs=2"]
     while True:
@@ -231,6 +231,11 @@ def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights, report: I
         except (ConfigError, SimulationFailure) as error:
             if not _without_failing_term(path, task, error, report):
                 raise
+    if composed.config["env"]["robot"]["joint_order"] is None:
+        names = ", ".join(env.scene.robot.joint_names)
+        report.add("joint_order", ASSUMED, f"{names}: breadth first in the robot file; set joint_order to change it")
+    if weights is None:
+        return
     manager, group = env.observation_manager, composed.config["agent"]["obs_groups"]["actor"][0]
     dims = [int(torch.tensor(dim).prod()) for dim in manager.group_obs_term_dim[group]]
     given, needed = (sum(dims), env.num_actions), weights.actor.widths
@@ -239,9 +244,6 @@ def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights, report: I
         terms = ", ".join(f"{name} {dim}" for name, dim in zip(manager.active_terms[group], dims, strict=True))
         expected = f"the policy of the run; observations: {terms}"
         raise RunDirectoryError(message, key=str(weights.path), expected=expected)
-    if composed.config["env"]["robot"]["joint_order"] is None:
-        names = ", ".join(env.scene.robot.joint_names)
-        report.add("joint_order", ASSUMED, f"{names}: breadth first in the robot file; set joint_order to change it")
 
 
 def _copy_network(name: str, folders: Sequence[Path], to: Path) -> None:

@@ -10,19 +10,17 @@ from typing import Any
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
+from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
-KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum", "recorders")
 _STOCK = re.compile(
     r"(omni\.isaac\.lab|isaaclab)\.|"
     r"(omni\.isaac\.lab_tasks|isaaclab_tasks)\.(manager_based\.locomotion|core|contrib)\.velocity\.mdp\b"
 )
 # Settings of commands that only change the log and what is drawn.
 _SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*visualizer_cfg|.*success_threshold")
-NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
 _NOISE_KEYS = ("noise", "noise_cfg", "bias_noise_cfg")
 _OWN = "wheelleg_exp."
-MODIFIERS = {"scale": "Scale", "clip": "Clip", "bias": "Bias"}
 
 # Returns the target of a function of the author, given its path and the names of its parameters.
 UserTarget = Callable[[str, Iterable[str]], str | None]
@@ -91,7 +89,7 @@ class TermMapping:
             _remove(node, "interval_range_s", "is_global_time")
             _remove(part.left, "resample_interval_on_reset")
         elif kind == "events" and part.take("resample_interval_on_reset", True) is False:
-            self._report.add(part.key, DROPPED, "resample_interval_on_reset: timers start anew with each episode here")
+            self._report.add(part.key, DROPPED, "resample_interval_on_reset: timers restart with each episode here")
         if kind == "events" and node.get("mode") != "reset":
             _remove(node, "min_step_count_between_reset")
         parameters = part.section("params")
@@ -113,6 +111,9 @@ class TermMapping:
         """Return the delay of an observation, which Isaac Lab 3.0 counts in control steps."""
         lags = [part.take("delay_min_lag", 0), part.take("delay_max_lag", 0)]
         hold = part.take("delay_hold_prob", 1.0)
+        if not all(isinstance(lag, int) for lag in lags):
+            message = f"the lags {lags} are not whole numbers"
+            raise ConfigError(message, key=f"{part.key}.delay_max_lag", expected="control steps")
         if not lags[1]:
             return {}
         if hold != 1.0:
@@ -131,7 +132,7 @@ class TermMapping:
             self._report.add(f"{part.key}.resampling_time_range", RULE, text)
 
     def _parameters(self, part: Section, target: str) -> dict[str, Any]:
-        """Return the parameters of a term that its function has. The author's functions have all parameters."""
+        """Return those parameters of a term that exist here. The author's functions have all parameters."""
         found: dict[str, Any] = {}
         accepted = parameters_of(target, part.key) if target.startswith(_OWN) else list(part.left)
         for key, value in part.items():

@@ -197,14 +197,17 @@ def _fill(
     """Write all files of the exported folder; return the fields ``differences`` and ``notes`` of ``Exported``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
-    role = next(role for role in ROLES if role in agent)
+    role = next((role for role in ROLES if role in agent), None)
+    if role is None:
+        raise ConfigError("the run has no policy", key="agent", expected=f"one of {', '.join(ROLES)}")
     require_perceptron(agent[role], f"agent.{role}")
     groups = agent["obs_groups"][role]
     mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
     if kind == ISAAC_LAB:
         env = ManagerBasedRLEnv({**params, "num_envs": 1}, mjcf, seed)
         policy = load_policy(checkpoint, RslRlVecEnv(env, agent.get("clip_actions")), agent)
-        return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy)
+        task = str(run.manifest().data.get("task"))
+        return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy, task)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
     spec = specification(plain, agent, _ranges(plain, state))

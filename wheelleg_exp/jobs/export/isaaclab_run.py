@@ -1,6 +1,7 @@
 """Export a run as a run folder of Isaac Lab 2.3.2: its configs, its IO descriptors, and its policy.
 
-``params/env.yaml`` contains everything that has a counterpart in Isaac Lab. The notes name the rest.
+``params/env.yaml`` contains everything that has a counterpart in Isaac Lab. The notes name the remaining settings. The
+import of Isaac Lab's runs reads the tables of this module, too.
 """
 
 from __future__ import annotations
@@ -15,17 +16,36 @@ from rsl_rl.models import MLPModel
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.files import write_bytes, write_text
-from wheelleg_exp.isaaclab_import.agent_mapping import PPO, RUNNER
-from wheelleg_exp.isaaclab_import.env_mapping import PATTERNS, TILE_NAMES, TILES
-from wheelleg_exp.isaaclab_import.term_mapping import KINDS, MODIFIERS, NOISES
 from wheelleg_exp.managers.observation_term import ObservationTerm
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.rl import export as formats
+from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.terms.term_binding import RESERVED, TARGET, resolve_target, signature_parameters
 
 Tree = dict[str, Any]
 _MDP, _TASKS = "isaaclab.envs.mdp", "isaaclab_tasks.manager_based.locomotion.velocity.mdp"
+KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum", "recorders")
+RUNNER = ("num_steps_per_env", "max_iterations", "save_interval", "clip_actions")
+PPO = (
+    *("num_learning_epochs", "num_mini_batches", "clip_param", "gamma", "lam", "value_loss_coef", "entropy_coef"),
+    *("learning_rate", "max_grad_norm", "use_clipped_value_loss", "schedule", "desired_kl"),
+    *("normalize_advantage_per_mini_batch", "optimizer"),
+)
+# Isaac Lab's functions, and the classes here.
+NOISES = {"uniform_noise": "UniformNoise", "gaussian_noise": "GaussianNoise", "constant_noise": "ConstantNoise"}
+MODIFIERS = {"scale": "Scale", "clip": "Clip", "bias": "Bias"}
+PATTERNS = {"grid_pattern": "GridPattern", "lidar_pattern": "LidarPattern", "bpearl_pattern": "BpearlPattern"}
+TILES = {
+    "flat_terrain": "Flat", "random_uniform_terrain": "RandomUniform", "pyramid_sloped_terrain": "PyramidSlope",
+    "pyramid_stairs_terrain": "PyramidStairs", "inverted_pyramid_stairs_terrain": "PyramidStairs",
+    "random_grid_terrain": "RandomGrid", "discrete_obstacles_terrain": "DiscreteObstacles", "wave_terrain": "Waves",
+    "stepping_stones_terrain": "SteppingStones", "gap_terrain": "Gap", "rails_terrain": "Rails", "box_terrain": "Box",
+    "pit_terrain": "Box",
+}  # fmt: skip
+INVERTED = ("inverted_pyramid_stairs_terrain", "pit_terrain")
+PIT_NAMES = {"pit_depth_range": "box_height_range", "double_pit": "double_box"}
+_MESH_TILES = ("Flat", "PyramidStairs", "RandomGrid", "Gap", "Rails", "Box")
 # Terms here that Isaac Lab does not have.
 OWN_TERMS = frozenset(
     """
@@ -54,11 +74,13 @@ TASK_TERMS = frozenset(
     terrain_out_of_bounds track_ang_vel_z_world_exp track_lin_vel_xy_yaw_frame_exp
     """.split()  # noqa: SIM905
 )
-# Parameters that Isaac Lab's term, sensor, actuator, or tile of the same name does not have.
+# Parameters that the term, sensor, or tile of the same name in Isaac Lab does not have.
 _OF_MESHES = ("border_width", "horizontal_scale", "boxes", "gap_depth")
 OWN_PARAMETERS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("Flat", "RandomGrid", "Gap", "Rails", "Box"), _OF_MESHES),
+    **dict.fromkeys(TILES.values(), ("boxes",)),
+    **dict.fromkeys(_MESH_TILES, _OF_MESHES),
     "PyramidStairs": _OF_MESHES[1:],
+    **dict.fromkeys(("BinaryJointPositionAction", "BinaryJointVelocityAction"), ("preserve_order",)),
     "TerrainGenerator": ("origin_window",),
     "Imu": ("accelerometer", "gyroscope"),
     "feet_slide": ("threshold",),
@@ -69,7 +91,7 @@ OWN_PARAMETERS: dict[str, tuple[str, ...]] = {
     "terrain_levels_vel": ("command_name",),
     "UniformVelocityCommand": ("limit_ranges",),
 }
-# Keys of nodes that are converted on their own, or that have no effect on the physics in Isaac Lab.
+# Keys of nodes that are converted separately.
 _MATERIAL = ("static_friction", "dynamic_friction", "restitution")
 _OF_GENERATOR = (*_MATERIAL, "max_init_terrain_level", "sub_terrains")
 _DELAYS = ("delay", "delay_jitter")
@@ -79,23 +101,31 @@ _MODIFIER_FUNCTIONS = {here: there for there, here in MODIFIERS.items()}
 
 
 def write_isaac_lab_run(
-    folder: Path, env: ManagerBasedRLEnv, num_envs: int, agent: Mapping[str, Any], policy: MLPModel
+    folder: Path, env: ManagerBasedRLEnv, num_envs: int, agent: Mapping[str, Any], policy: MLPModel, task: str
 ) -> list[str]:
     """Write the run folder; return a note for each part of the config that Isaac Lab does not have.
 
     ``env`` is a simulation of the run, and ``num_envs`` the number of environments in the training.
     """
     converted = IsaacLabEnv({**env.cfg, "num_envs": num_envs}, env.seed)
-    notes = "".join(f"# not here: {note}\n" for note in converted.notes)
-    write_text(folder / "params" / "env.yaml", notes + dump_yaml(converted.tree))
-    if "actor" in agent:
-        write_text(folder / "params" / "agent.yaml", dump_yaml(isaac_lab_agent(agent, env.seed)))
-    role = "student" if "student" in agent else "actor"
+    notes, role = converted.notes, "student" if "student" in agent else "actor"
+    lost = [note.split(":")[0] for note in notes if note.startswith(_lost_groups(agent["obs_groups"][role]))]
+    if lost:
+        names = ", ".join(dict.fromkeys(key.split(".")[2] for key in lost))
+        notes.insert(0, f"the policy cannot run in Isaac Lab before you write these observations there: {names}")
+    if role == "actor":
+        runner, lost_settings = isaac_lab_agent(agent, env.seed, task)
+        write_text(folder / "params" / "agent.yaml", dump_yaml(runner))
+        notes += lost_settings
+    else:
+        notes.append("agent: Isaac Lab has no distillation from a checkpoint")
+    head = "".join(f"# not exported: {note}\n" for note in notes)
+    write_text(folder / "params" / "env.yaml", head + dump_yaml(converted.tree))
     descriptors = io_descriptors(env, agent["obs_groups"][role])
     write_text(folder / "io_descriptors" / "IO_descriptors.yaml", dump_yaml(descriptors))
     write_bytes(folder / "exported" / "policy.pt", formats.torchscript(policy))
     write_bytes(folder / "exported" / "policy.onnx", formats.onnx(policy))
-    return converted.notes
+    return notes
 
 
 class IsaacLabEnv:
@@ -105,13 +135,15 @@ class IsaacLabEnv:
         self.notes: list[str] = []
         scene, sim = env["scene"], env["sim"]
         robot, terrain = self._robot(env["robot"]), self._terrain(scene["terrain"], env["robot"])
+        sensors = self._each(self._sensor, scene["sensors"], "scene.sensors")
+        robot["spawn"]["activate_contact_sensors"] = bool(sensors)
         self.tree: Tree = {name: env[name] for name in ("decimation", "episode_length_s")}
         self.tree |= {"is_finite_horizon": env.get("is_finite_horizon", False), "seed": seed}
         self.tree["sim"] = {"dt": sim["dt"], "gravity": sim["gravity"], "render_interval": env["decimation"]}
         self.tree["sim"] |= {"physx": {}, "physics_material": terrain["physics_material"]}
+        self.notes.append("sim: the settings of MuJoCo's solver")
         self.tree["scene"] = {"num_envs": env["num_envs"], "env_spacing": scene["env_spacing"]}
-        self.tree["scene"] |= {"robot": robot, "terrain": terrain}
-        self.tree["scene"] |= self._each(self._sensor, scene["sensors"], "scene.sensors")
+        self.tree["scene"] |= {"robot": robot, "terrain": terrain, **sensors}
         for kind in KINDS:
             convert = self._group if kind == "observations" else self._term
             self.tree[kind] = self._each(convert, env.get(kind) or {}, kind)
@@ -126,7 +158,9 @@ class IsaacLabEnv:
         found = {}
         for parameter, value in node.items():
             if parameter in OWN_PARAMETERS.get(name, ()):
-                self.notes.append(f"{key}.{parameter}: Isaac Lab's {name} has no such setting")
+                default = signature_parameters(resolve_target(node[TARGET], key))[parameter].default
+                if value != default:
+                    self.notes.append(f"{key}.{parameter}: Isaac Lab's {name} has no such setting")
             elif parameter != TARGET and parameter not in skipped:
                 found[parameter] = self._value(f"{key}.{parameter}", value)
         return found
@@ -152,18 +186,28 @@ class IsaacLabEnv:
         return self._values(key, name, value)
 
     def _robot(self, robot: Mapping[str, Any]) -> Tree:
-        kind, file = ("urdf", "asset_path") if robot["asset"].endswith(".urdf") else ("usd", "usd_path")
         fixed = {"fixed": True, "floating": False}.get(robot["base"])
-        spawn = {"func": f"isaaclab.sim.spawners.from_files:spawn_from_{kind}", file: robot["asset"]}
-        spawn |= {"articulation_props": {"enabled_self_collisions": robot["self_collisions"], "fix_root_link": fixed}}
+        properties = {"enabled_self_collisions": robot["self_collisions"], "fix_root_link": fixed}
+        spawn: Tree = {"articulation_props": properties}
+        if robot["asset"].endswith(".urdf"):
+            spawn |= {"func": "isaaclab.sim.spawners.from_files:spawn_from_urdf", "asset_path": robot["asset"]}
+            spawn |= {"fix_base": bool(fixed), "joint_drive": {"gains": {"stiffness": 0.0, "damping": 0.0}}}
+        else:
+            spawn |= {"func": "isaaclab.sim.spawners.from_files:spawn_from_usd", "usd_path": robot["asset"]}
+        self.notes.append(f"robot.asset: set the path in scene.robot.spawn to your file {robot['asset']}")
+        if robot.get("joint_order"):
+            self.notes.append(f"robot.joint_order: the policy's order is {', '.join(robot['joint_order'])}")
         found: Tree = {"class_type": "isaaclab.assets:Articulation", "prim_path": _ROBOT, "spawn": spawn}
         found |= {name: robot[name] for name in ("init_state", "soft_joint_pos_limit_factor")}
         return found | {"actuators": self._each(self._actuator, robot["actuators"], "robot.actuators")}
 
-    def _actuator(self, key: str, node: Mapping[str, Any]) -> Tree:
+    def _actuator(self, key: str, node: Mapping[str, Any]) -> Tree | None:
         kind = _name(node)
+        if not hasattr(actuators, kind):
+            self.notes.append(f"{key}: Isaac Lab has no {kind}")
+            return None
         if node.get("delay") is not None:
-            self.notes.append(f"{key}.delay: Isaac Lab has a DelayedPDActuator for it")
+            self.notes.append(f"{key}.delay: use a DelayedPDActuator in Isaac Lab")
         values = self._values(key, kind, node, ("delay",))
         if kind == "ImplicitActuator":
             values |= {f"{limit}_sim": values.pop(limit) for limit in ("effort_limit", "velocity_limit")}
@@ -185,19 +229,21 @@ class IsaacLabEnv:
         return found
 
     def _tile(self, key: str, node: Mapping[str, Any]) -> Tree | None:
-        kind, inverted = _name(node), {"inverted": True} if node.get("inverted") else {}
-        made = [function for function, tile in TILES.items() if tile in ((kind, inverted), (kind, {}))]
-        if not made:
-            self.notes.append(f"{key}: Isaac Lab has no {kind}")
+        kind = _name(node)
+        turned = kind in ("PyramidStairs", "Box") and bool(node.get("inverted"))
+        function = next((f for f, made in TILES.items() if made == kind and (f in INVERTED) == turned), None)
+        if function is None:
+            self.notes.append(f"{key}: Isaac Lab has no tile {kind}")
             return None
-        module = "trimesh.mesh_terrains" if kind in OWN_PARAMETERS else "height_field.hf_terrains"
-        values = self._values(key, kind, node, ("inverted",) if kind in OWN_PARAMETERS else ())
-        for there, here in TILE_NAMES.items():
+        module = "trimesh.mesh_terrains" if kind in _MESH_TILES else "height_field.hf_terrains"
+        values = self._values(key, kind, node, ("inverted",) if kind in _MESH_TILES else ())
+        renamed = {"flat_patch_sampling": "flat_patches"} | (PIT_NAMES if function == "pit_terrain" else {})
+        for there, here in renamed.items():
             if here in values:
                 values[there] = values.pop(here)
         if kind == "PyramidSlope":
             values["slope_range"] = [math.tan(angle) for angle in values["slope_range"]]
-        return {"function": f"isaaclab.terrains.{module}:{made[-1]}", **values}
+        return {"function": f"isaaclab.terrains.{module}:{function}", **values}
 
     def _sensor(self, key: str, node: Mapping[str, Any]) -> Tree | None:
         kind = _name(node)
@@ -206,9 +252,10 @@ class IsaacLabEnv:
             return None
         others = ("body_names", "body_name", "filter_body_names", "pattern", "max_contacts")
         found: Tree = {"class_type": f"isaaclab.sensors:{kind}", **self._values(key, kind, node, others)}
-        found["prim_path"] = _prim_paths(node.get("body_names", [node.get("body_name")]), one=True)[0]
+        names = node["body_names"] if kind == "ContactSensor" else node["body_name"]
+        found["prim_path"] = _prim_path("|".join([names] if isinstance(names, str) else names))
         if node.get("filter_body_names"):
-            found["filter_prim_paths_expr"] = _prim_paths(node["filter_body_names"])
+            found["filter_prim_paths_expr"] = [_prim_path(name) for name in node["filter_body_names"]]
         if kind == "RayCaster":
             pattern = _name(node["pattern"])
             function = next(function for function, name in PATTERNS.items() if name == pattern)
@@ -250,22 +297,27 @@ class IsaacLabEnv:
             return node
         known = signature_parameters(resolve_target(node[TARGET].replace(_name(node), parent), key))
         lost = [parameter for parameter in node if parameter not in (TARGET, *known)]
-        self.notes.append(f"{key}: a {parent} without {', '.join(lost)}")
+        self.notes.append(f"{key}: written as {parent}, without {', '.join(lost)}")
         return {parameter: value for parameter, value in node.items() if parameter not in lost}
 
 
-def isaac_lab_agent(agent: Mapping[str, Any], seed: int) -> Tree:
-    """Return the content of ``agent.yaml`` for rsl_rl's runner."""
+def isaac_lab_agent(agent: Mapping[str, Any], seed: int, task: str) -> tuple[Tree, list[str]]:
+    """Return the content of ``agent.yaml`` for rsl_rl's runner, and notes about settings that it does not have."""
     actor, critic, groups = agent["actor"], agent["critic"], agent["obs_groups"]
     noise = actor.get("distribution_cfg") or {}
     policy = {"class_name": "ActorCritic", "activation": actor["activation"]}
     policy |= {"init_noise_std": noise.get("init_std", 1.0), "noise_std_type": noise.get("std_type", "scalar")}
     for role, network in (("actor", actor), ("critic", critic)):
         policy |= {f"{role}_{name}": network[name] for name in ("hidden_dims", "obs_normalization")}
-    algorithm = {name: agent["algorithm"][name] for name in ("class_name", *PPO) if name in agent["algorithm"]}
+    known = ("class_name", *PPO[:-1])  # Isaac Lab 2.3.2 has no ``optimizer``.
+    algorithm = {name: agent["algorithm"][name] for name in known if name in agent["algorithm"]}
     runner = {name: agent[name] for name in RUNNER if name in agent}
-    runner["obs_groups"] = {"policy": groups["actor"], "critic": groups["critic"]}
-    return {"seed": seed, **runner, "policy": policy, "algorithm": algorithm}
+    runner |= {"experiment_name": task, "obs_groups": {"policy": groups["actor"], "critic": groups["critic"]}}
+    lost = [name for name, value in agent["algorithm"].items() if name not in (*known, "optimizer") and value]
+    notes = [f"agent.algorithm.{name}: set it in Isaac Lab's config of the agent" for name in lost]
+    if critic["activation"] != actor["activation"]:
+        notes.append(f"agent.critic.activation: {critic['activation']}, but Isaac Lab has one for both networks")
+    return {"seed": seed, **runner, "policy": policy, "algorithm": algorithm}, notes
 
 
 def io_descriptors(env: ManagerBasedRLEnv, groups: Sequence[str]) -> Tree:
@@ -309,8 +361,12 @@ def _name(node: Mapping[str, Any]) -> str:
     return str(node.get(TARGET, "")).rpartition(".")[2]
 
 
-def _prim_paths(names: Any, one: bool = False) -> list[str]:
-    """Return the prim paths of bodies, given by expressions; ``one`` joins them to one path."""
-    listed = [names] if isinstance(names, str) else list(names)
-    listed = [f"({'|'.join(listed)})"] if one and len(listed) > 1 else listed
-    return [_GROUND if name == "ground" else f"{_ROBOT}/{name}" for name in listed]
+def _prim_path(expression: str) -> str:
+    """Return the prim path of the ground, or of the bodies that match an expression."""
+    return (
+        _GROUND if expression == "ground" else f"{_ROBOT}/" + (f"({expression})" if "|" in expression else expression)
+    )
+
+
+def _lost_groups(groups: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"observations.{group}." for group in groups)
