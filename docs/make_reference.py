@@ -23,7 +23,7 @@ from wheelleg_exp.config.composing.config_loader import package_header
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry, library
 from wheelleg_exp.config.explaining.key_documentation import comment_at, headline
-from wheelleg_exp.config.tree_lookup import build, leaves, line_table
+from wheelleg_exp.config.tree_lookup import leaves, line_table
 from wheelleg_exp.definitions import Definition
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.paths import configs_dir
@@ -106,7 +106,10 @@ def _meaning(entry: Entry, content: dict[str, Any], keys: Keys) -> str:
     if keys[-1] == TARGET:
         return _headline(str(known.at(content, keys)))
     prefix = _package(entry)
-    slot = known.slot(build({(*prefix, *k): v for k, v in leaves(content)}), (*prefix, *keys))
+    tree = content
+    for key in reversed(prefix):
+        tree = {key: tree}
+    slot = known.slot(tree, (*prefix, *keys))
     above = (_comment(entry.file, keys[:length]) for length in range(len(keys) - 1, 0, -1))
     return _comment(entry.file, keys) or (slot.meaning if slot else "") or next(filter(None, above), "")
 
