@@ -23,7 +23,6 @@ from wheelleg_exp.sim.terrain import (
     DiscreteObstacles,
     Flat,
     Gap,
-    Pit,
     PyramidSlope,
     PyramidStairs,
     Rails,
@@ -68,7 +67,7 @@ KINDS: dict[str, SubTerrain] = {
     "Gap": Gap(proportion=1, gap_width_range=[0, 0.02], gap_depth=0.02, platform_width=0.4),
     "Rails": Rails(proportion=1, rail_thickness_range=[0.02, 0.04], rail_height_range=STEPS, platform_width=0.3),
     "Box, double": Box(proportion=1, box_height_range=STEPS, platform_width=0.3, double_box=True),
-    "Pit": Pit(proportion=1, pit_depth_range=STEPS, platform_width=0.4),
+    "Pit": Box(proportion=1, box_height_range=STEPS, platform_width=0.4, inverted=True),
 }
 
 
