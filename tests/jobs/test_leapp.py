@@ -129,7 +129,7 @@ def test_a_leapp_bundle_that_differs_from_the_simulation_is_not_written(run, tmp
 
 
 def test_a_missing_leapp_and_an_unknown_format_are_one_message(run, monkeypatch):
-    assert "--format: 'lepp' is not known; expected one of bundle, leapp" in refused(
+    assert "--format: 'lepp' is not known; expected one of bundle, isaaclab, leapp" in refused(
         "export", run.path, "--format", "lepp"
     )
     monkeypatch.setattr("wheelleg_exp.jobs.export.export_bundle.find_spec", lambda name: None)
