@@ -54,7 +54,11 @@ def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str
     assert RENAMED.keys() < here - there
     assert here - there > TASK_TERMS
     env = compose(["task=terrain", "realism=full"]).config["env"]
-    notes = IsaacLabEnv(with_realism(env), 0).notes
+    integrator = {"_target_": "wheelleg_exp.mdp.modifiers.Integrator", "dt": 0.1}
+    env["observations"]["policy"]["terms"]["base_ang_vel"]["modifiers"] = [integrator]
+    made = IsaacLabEnv(with_realism(env), 0)
+    notes = made.notes
+    assert made.tree["observations"]["policy"]["base_ang_vel"]["modifiers"] == []
     for note in (
         "rewards.travel_error: Isaac Lab has no travel_error_l2",
         "observations.policy.base_ang_vel.noise: Isaac Lab has no SensorErrors",

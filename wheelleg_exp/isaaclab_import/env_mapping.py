@@ -270,14 +270,10 @@ class EnvMapping:
         if kind == "ImplicitActuator":
             effort, engine_effort = effort if engine_effort is None else engine_effort, None
             velocity = None  # Isaac Lab ignores the velocity limit of an implicit actuator.
-            part.drop(
-                ["actuator_effort_limit", "actuator_velocity_limit"], "a drive in the solver has joint limits only"
-            )
+            part.drop(["actuator_effort_limit", "actuator_velocity_limit"], "the solver has only the joint's limits")
         else:
-            effort, velocity = (
-                part.take("actuator_effort_limit", effort),
-                part.take("actuator_velocity_limit", velocity),
-            )
+            effort = part.take("actuator_effort_limit", effort)
+            velocity = part.take("actuator_velocity_limit", velocity)
         values = {"effort_limit": effort, "velocity_limit": engine_velocity if velocity is None else velocity}
         values |= {name: part.take(name, gains.get(name)) for name in ("stiffness", "damping")}
         for name, value in values.items():

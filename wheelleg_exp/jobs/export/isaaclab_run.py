@@ -109,10 +109,10 @@ def write_isaac_lab_run(
     """
     converted = IsaacLabEnv({**env.cfg, "num_envs": num_envs}, env.seed)
     notes, role = converted.notes, "student" if "student" in agent else "actor"
-    lost = [note.split(":")[0] for note in notes if note.startswith(_lost_groups(agent["obs_groups"][role]))]
+    groups, exported = agent["obs_groups"][role], converted.tree["observations"]
+    lost = [name for group in groups for name in env.observation_manager.terms(group) if name not in exported[group]]
     if lost:
-        names = ", ".join(dict.fromkeys(key.split(".")[2] for key in lost))
-        notes.insert(0, f"the policy cannot run in Isaac Lab before you write these observations there: {names}")
+        notes.insert(0, f"write these observations in Isaac Lab before you run the policy: {', '.join(lost)}")
     if role == "actor":
         runner, lost_settings = isaac_lab_agent(agent, env.seed, task)
         write_text(folder / "params" / "agent.yaml", dump_yaml(runner))
@@ -121,7 +121,7 @@ def write_isaac_lab_run(
         notes.append("agent: Isaac Lab has no distillation from a checkpoint")
     head = "".join(f"# not exported: {note}\n" for note in notes)
     write_text(folder / "params" / "env.yaml", head + dump_yaml(converted.tree))
-    descriptors = io_descriptors(env, agent["obs_groups"][role])
+    descriptors = io_descriptors(env, groups)
     write_text(folder / "io_descriptors" / "IO_descriptors.yaml", dump_yaml(descriptors))
     write_bytes(folder / "exported" / "policy.pt", formats.torchscript(policy))
     write_bytes(folder / "exported" / "policy.onnx", formats.onnx(policy))
@@ -167,7 +167,8 @@ class IsaacLabEnv:
 
     def _value(self, key: str, value: Any) -> Any:
         if isinstance(value, list):
-            return [self._value(key, item) for item in value]
+            made = [(item, self._value(key, item)) for item in value]
+            return [there for item, there in made if there is not None or item is None]
         if not isinstance(value, Mapping):
             return value
         name = _name(value)
@@ -363,10 +364,6 @@ def _name(node: Mapping[str, Any]) -> str:
 
 def _prim_path(expression: str) -> str:
     """Return the prim path of the ground, or of the bodies that match an expression."""
-    return (
-        _GROUND if expression == "ground" else f"{_ROBOT}/" + (f"({expression})" if "|" in expression else expression)
-    )
-
-
-def _lost_groups(groups: Sequence[str]) -> tuple[str, ...]:
-    return tuple(f"observations.{group}." for group in groups)
+    if expression == "ground":
+        return _GROUND
+    return f"{_ROBOT}/({expression})" if "|" in expression else f"{_ROBOT}/{expression}"
