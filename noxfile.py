@@ -85,10 +85,20 @@ def _require_gpu(session: nox.Session) -> None:
 @nox.session(venv_backend="virtualenv")
 def clients(session: nox.Session) -> None:
     """Test with third-party libraries, in a separate environment on top of this one."""
+    _test_on_top(session, "tests/clients")
+
+
+@nox.session(venv_backend="virtualenv")
+def physx(session: nox.Session) -> None:
+    """Test the engine physx, in a separate environment on top of this one."""
+    _test_on_top(session, "tests/physx")
+
+
+def _test_on_top(session: nox.Session, tests: str) -> None:
     here, own = sysconfig.get_path("purelib"), session.run("python", "-c", _PURELIB, silent=True).strip()
     Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
-    session.install("-r", "tests/clients/requirements.txt")
-    session.run("python", "-m", "pytest", "-p", "no:xdist", "tests/clients", *session.posargs)
+    session.install("-r", f"{tests}/requirements.txt")
+    session.run("python", "-m", "pytest", "-p", "no:xdist", tests, *session.posargs)
 
 
 @nox.session

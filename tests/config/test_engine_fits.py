@@ -6,7 +6,7 @@ from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.sim import options
 
-WARP = "env.sim.engine=warp"
+WARP, PHYSX = "env.sim.engine=warp", "env.sim.engine=physx"
 
 
 def said(*overrides: str) -> list[str]:
@@ -21,8 +21,10 @@ def _installed(monkeypatch):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        *((words, None) for words in ([], [WARP], [WARP, "env.sim.device=cuda:1"], [WARP, "env.sim.solver=cg"])),
+        *((words, None) for words in ([], [PHYSX], [WARP], [WARP, "env.sim.device=cuda:1"])),
+        ([WARP, "env.sim.solver=cg"], None),
         (["env.sim.device=cuda:0"], "env.sim.device: the engine 'mujoco' runs on the CPU, not on 'cuda:0'"),
+        ([PHYSX, "env.sim.device=cuda:0"], "env.sim.device: the engine 'physx' runs on the CPU, not on 'cuda:0'"),
         ([WARP, "env.sim.device=gpu"], "env.sim.device: 'gpu' is not a device of the engine 'warp'"),
         ([WARP, "env.sim.device=cuda:0", "env.sim.deterministic=true"],
          "env.sim.deterministic: the engine 'warp' is not bit-reproducible on a GPU, even with"),
@@ -37,6 +39,8 @@ def test_settings_that_do_not_fit_the_engine_are_reported_by_their_key(overrides
 
 def test_a_missing_package_is_reported_with_its_install_command(monkeypatch):
     monkeypatch.setattr(options, "find_spec", lambda name: None)
-    (error,) = said(WARP)
-    assert error.startswith("env.sim.engine: the engine 'warp' needs the package warp, which is not installed")
-    assert "pip install 'wheelleg_exp[gpu]'" in error
+    for engine, package, extra in (("warp", "warp", "gpu"), ("physx", "ovphysx", "physx")):
+        (error,) = said(f"env.sim.engine={engine}")
+        missing = f"env.sim.engine: the engine '{engine}' needs the package {package}, which is not installed"
+        assert error.startswith(missing)
+        assert f"pip install 'wheelleg_exp[{extra}]'" in error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.evaluation.method_comparison import differences, over_seeds, push_verdict, verdict
+from wheelleg_exp.evaluation.method_comparison import differences, engine_verdict, over_seeds, push_verdict, verdict
 from wheelleg_exp.evaluation.metric_catalogue import figure, metrics_of
 from wheelleg_exp.evaluation.result import Evaluation
 
@@ -169,3 +169,18 @@ def test_other_scenarios_cannot_be_compared_and_a_metric_without_values_has_no_o
     one = made(1.0, np.nan)
     row = by_name(differences([one], [one]))["stand/height_rmse"]
     assert (row.outcome, row.test) == ("", None)
+
+
+@pytest.mark.parametrize(
+    ("second", "said"),
+    [
+        (made(1.0, 1.05e-3 * noise(0), 0.01), "confirms mujoco in all 3 metrics of survival, tracking, drift"),
+        (made(1.0, 1.2e-3 * noise(0), 0.01), "differs from mujoco in 1 of 3 metrics: stand/height_rmse (1.2 times)."),
+        (made(1.0, 1e-3 * noise(1), 0.01), "confirms mujoco in all 3 metrics of survival, tracking, drift"),
+        (made(np.arange(N) >= 9, 1e-3 * noise(0), 0.01),
+         "differs from mujoco in 1 of 3 metrics: stand/survival (0.859, not 1)."),
+    ],
+)  # fmt: skip
+def test_engines_differ_by_more_than_a_tenth_and_more_than_chance(second, said):
+    found = differences([made(1.0, 1e-3 * noise(0), 0.01)], [second])
+    assert engine_verdict(found, "mujoco", "physx").startswith(f"physx {said}")

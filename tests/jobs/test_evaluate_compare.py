@@ -91,3 +91,17 @@ def test_evaluations_of_different_scenarios_and_damaged_evaluations_are_refused(
     paths[0].write_text("{")
     with pytest.raises(RunDirectoryError, match="is damaged"):
         read_evaluation(paths[0].parent)
+
+
+@pytest.mark.parametrize("words", [("--engines", "mujoco"), ("--engines", "mujoco,mujoco"),
+                                   ("--engines", "mujoco,warp", "--reference")])  # fmt: skip
+def test_a_comparison_of_engines_needs_two_of_them_alone(run, words):
+    assert "is not a comparison of two engines alone" in refused("evaluate", run.path, *words, *SHORT)
+
+
+def test_the_same_policy_is_compared_in_two_engines(run):
+    pytest.importorskip("mujoco_warp")
+    found = evaluated(run.path, "--engines", "mujoco,warp")
+    assert found["verdict"].startswith(("warp confirms mujoco in all", "warp differs from mujoco in"))
+    (one,), (other,) = found["runs"], found["against"]
+    assert one["checkpoint_sha256"] == other["checkpoint_sha256"]

@@ -31,6 +31,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--against", metavar="RUN", action="append", default=[], help=text)
     text = "evaluate the linear-quadratic reference controller too"
     parser.add_argument("--reference", action="store_true", help=text)
+    text = "simulate with this engine instead of mujoco: physx (docs/engines.md) or warp"
+    parser.add_argument("--engine", metavar="NAME", help=text)
+    text = "evaluate with each of two engines, and compare them in pairs of episodes: mujoco,physx"
+    parser.add_argument("--engines", metavar="NAME,NAME", help=text)
     text = "use a run's stored evaluation of this protocol, and evaluate only the other runs"
     parser.add_argument("--kept", action="store_true", help=text)
     add_config_dir(parser)
@@ -49,8 +53,13 @@ def run(args: argparse.Namespace) -> int:
     if REFERENCE in args.against and others:
         message = "a comparison is either with runs or with the reference"
         raise WheellegError(message, key="--against", expected="runs, or 'reference'")
+    engines = _engines(args)
     chosen, opposite = found(args, names), found(args, others)
     with ConsoleDisplay(quiet=True) as display:
+        if len(engines) == 2:
+            first, second = ([evaluated(args, *one, [*overrides, w], display) for one in chosen] for w in engines)
+            return _compare(args, first, second, None, args.engines.split(","))
+        overrides += engines
         made = [evaluated(args, *one, overrides, display) for one in chosen]
         against = [evaluated(args, *one, overrides, display) for one in opposite]
         reference = None
@@ -69,13 +78,29 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
+def _engines(args: argparse.Namespace) -> list[str]:
+    """Return the overrides that select the engines of ``--engine`` or ``--engines``: none, one, or two."""
+    if args.engines is None:
+        return [] if args.engine is None else [f"env.sim.engine={args.engine}"]
+    names = args.engines.split(",")
+    if len(set(names)) != 2 or args.engine is not None or args.against or args.reference:
+        message = f"'{args.engines}' is not a comparison of two engines alone"
+        expected = "two engines, such as mujoco,physx, without --engine, --against, and --reference"
+        raise WheellegError(message, key="--engines", expected=expected)
+    return [f"env.sim.engine={name}" for name in names]
+
+
 def _compare(
-    args: argparse.Namespace, made: Sequence[Evaluated], against: Sequence[Evaluated], reference: Evaluated | None
+    args: argparse.Namespace,
+    made: Sequence[Evaluated],
+    against: Sequence[Evaluated],
+    reference: Evaluated | None,
+    engines: Sequence[str] = (),
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
     from wheelleg_exp.jobs.evaluate_policy import compare
 
-    found = compare(made, against, reference, args.command)
+    found = compare(made, against, reference, args.command, engines=engines)
     if args.json:
         folders = [str(one.folder) for one in (*made, *against, *([reference] if reference is not None else []))]
         print_json({"folder": str(found.folder), "evaluations": list(dict.fromkeys(folders)), **found.content})

@@ -343,6 +343,37 @@ def verdict(found: Sequence[Difference], first: str, second: str, trainings: Seq
     return text
 
 
+# The largest difference of two engines that agree: of a share, and of any other metric relative to the first engine.
+_SHARE, _RATIO = 0.02, 0.1
+_JUDGED = {
+    *("survival", "success", "error_vx", "error_wz", "drift", "zero_drift", "height_rmse", "pitch_std"),
+    *("torque_rms_legs", "torque_rms_wheels", "saturation_legs", "saturation_wheels", "action_acceleration"),
+}
+
+
+def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
+    """Return a sentence that names the metrics in which two engines disagree about the same policies.
+
+    A policy can survive in a second engine and still chatter or drift there, so that tracking, drift, torque and the
+    changes of the actions count too. A difference counts if its confidence interval excludes 0, and if it exceeds
+    0.02 of a share, or 10 % of the first engine's value.
+    """
+    named = [(row.metric.rpartition("/")[2], row) for row in found if math.isfinite(row.interval.value)]
+    judged = [row for name, row in named if name in _JUDGED or (name.startswith("limit_") and "°" in name)]
+    said = []
+    for row in judged:
+        change = row.second - row.first
+        limit = _SHARE if not row.unit else _RATIO * abs(row.first)
+        if abs(change) > limit and not row.interval.low <= 0.0 <= row.interval.high:
+            is_ratio = bool(row.unit) and row.first != 0.0
+            text = f"{row.second / row.first:.3g} times" if is_ratio else f"{row.second:.3g}, not {row.first:.3g}"
+            said.append(f"{row.metric} ({text})")
+    if said:
+        return f"{second} differs from {first} in {len(said)} of {len(judged)} metrics: {', '.join(said)}."
+    what = "survival, tracking, drift, torque, chatter, and pushes"
+    return f"{second} confirms {first} in all {len(judged)} metrics of {what}."
+
+
 def push_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     """Return a text about which of two methods survives harder pushes; return an empty text if no push was tested.
 

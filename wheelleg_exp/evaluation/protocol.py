@@ -224,7 +224,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
     env, parts = rollout.env, rollout.parts
     robot = env.cfg["robot"]
     armature, limits = env.scene.robot.data.joint_armature[0].tolist(), parts.effort_limit[0].tolist()
-    names = parts.joint_names
+    names, promise = parts.joint_names, env.scene.sim.promise()
     return {
         "profile": robot.get("profile"),
         "armature_kg_m2": dict(zip(names, armature, strict=True)),
@@ -233,9 +233,10 @@ def about(rollout: Rollout) -> dict[str, Any]:
         "mass_kg": parts.mass,
         "physics_dt_s": env.physics_dt,
         "step_dt_s": env.step_dt,
-        "engine": env.cfg["sim"].get("engine"),
+        "engine": env.scene.sim.name,
         "device": str(env.device),
         "model_sha256": env.scene.model_digest(),
+        **({} if promise["exact"] else {"promise": promise}),
     }
 
 

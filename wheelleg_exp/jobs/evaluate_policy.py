@@ -30,6 +30,7 @@ from wheelleg_exp.evaluation.method_comparison import (
     Difference,
     OverSeeds,
     differences,
+    engine_verdict,
     over_seeds,
     plain,
     push_verdict,
@@ -341,19 +342,24 @@ def compare(
     reference: Evaluated | None,
     command: Sequence[str],
     name: str | None = None,
+    engines: Sequence[str] = (),
 ) -> Compared:
     """Compare the evaluations of runs, and save the comparison in the directory of the first run.
 
     ``runs`` are runs of one training method with different seeds. ``against`` are runs of a second training method, or
-    an empty list. ``name`` is the common name of ``runs``, by default the id of the first run.
+    an empty list. ``name`` is the common name of ``runs``, by default the id of the first run. ``engines`` names two
+    engines if ``runs`` and ``against`` are evaluations of the same runs with these engines.
     """
     seeds = over_seeds([made.evaluation for made in runs])
     found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
     # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
-    said = verdict(found, *names, trainings) if against else ""
-    pushed = push_verdict(found, *names)
+    if engines:
+        said, pushed = engine_verdict(found, *engines), ""
+    else:
+        said = verdict(found, *names, trainings) if against else ""
+        pushed = push_verdict(found, *names)
     evaluation = runs[0].evaluation
     content: dict[str, Any] = {
         "format": COMPARISON_FORMAT,

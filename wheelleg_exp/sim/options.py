@@ -18,9 +18,13 @@ from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAl
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
     """Check that the physics engine supports the device and the solver, and that the packages of the engine exist."""
     device = given["device"]
-    if given["engine"] == "mujoco":
+    if given["engine"] != "warp":
         if device != "cpu":
-            yield Broken("device", f"the engine 'mujoco' runs on the CPU, not on {device!r}", "cpu, or engine: warp")
+            message = f"the engine '{given['engine']}' runs on the CPU, not on {device!r}"
+            yield Broken("device", message, "cpu, or engine: warp")
+        if given["engine"] == "physx" and find_spec("ovphysx") is None:
+            message = "the engine 'physx' needs the package ovphysx, which is not installed"
+            yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows")
         return
     if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
         yield Broken("device", f"{device!r} is not a device of the engine 'warp'", "cpu, or cuda:0 and so on")
@@ -43,7 +47,7 @@ class SimOptions:
 
     Attributes:
         engine: The engine ``mujoco`` simulates bit-reproducibly on the CPU; ``warp`` is mujoco-warp, in single
-            precision, usually on a GPU.
+            precision, usually on a GPU; ``physx`` is NVIDIA PhysX on the CPU, to judge policies (docs/engines.md).
         device: device of the engine's tensors, ``cpu``, or for the engine ``warp`` also ``cuda:0`` and so on.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
@@ -65,7 +69,7 @@ class SimOptions:
         deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU.
     """
 
-    engine: Literal["mujoco", "warp"]
+    engine: Literal["mujoco", "warp", "physx"]
     device: str
     dt: constraints.Positive
     gravity: Annotated[Sequence[float], Length(3)]

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.paths import find_asset
 from wheelleg_exp.sim.actuators import ActuatorBase
 from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.engine import WRENCHES, Engine
@@ -103,6 +104,12 @@ class Scene(Kept):
             from wheelleg_exp.sim.warp_engine import WarpEngine
 
             self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
+        elif options.engine == "physx":
+            from wheelleg_exp.sim.physx_engine import PhysxEngine
+
+            usd = find_asset(self.robot.options.asset, key="env.robot.asset")
+            collides = self.robot.options.self_collisions
+            self.sim = PhysxEngine(self.model, self.num_envs, options.nthread, usd, collides)
         else:
             self.sim = BatchEngine(self.model, self.num_envs, options.nthread)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)

@@ -1,0 +1,142 @@
+"""Compare PhysX with MuJoCo and with closed forms. ``nox -s physx`` runs these tests in an own environment."""
+
+import math
+
+import pytest
+import torch
+
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.composing.compose import compose
+
+pytest.importorskip("ovphysx")
+
+G, MASS, DT = 9.81, 0.5, 1.0 / 120.0
+
+
+def build(engine, *words, num_envs=2, robot="physical"):
+    flat = ["task=stand", f"robot={robot}", f"env.num_envs={num_envs}", f"env.sim.engine={engine}"]
+    return build_env(compose([*flat, *words]).config)
+
+
+def flying(env, spin=0.0):
+    """Lift the robots to 1 m, turn them, and give them velocities that differ between joints and environments."""
+    robot = env.scene.robot
+    generator = torch.Generator().manual_seed(3)
+    state = robot.data.default_root_state.clone()
+    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 1.0])
+    state[:, 3:7] = torch.nn.functional.normalize(torch.tensor([[0.9, 0.1, -0.3, 0.2]]), dim=1)
+    state[:, 7:] = torch.randn(env.num_envs, 6, generator=generator) * torch.tensor([0.5] * 3 + [spin] * 3)
+    robot.write_root_state_to_sim(state)
+    speeds = 0.3 * torch.randn(env.num_envs, robot.num_joints, generator=generator)
+    robot.write_joint_state_to_sim(robot.data.default_joint_pos, speeds)
+    targets = robot.data.default_joint_pos + 0.05 * torch.randn(speeds.shape, generator=generator)
+    robot.set_joint_position_target(targets)
+    robot.set_joint_velocity_target(torch.randn(speeds.shape, generator=generator))
+    env.scene.refresh()
+
+
+def advance(env, steps):
+    for _ in range(steps):
+        env.scene.write_data_to_sim()
+        env.scene.sim.step()
+        env.scene.update()
+
+
+@pytest.mark.parametrize("robot", ["physical", "article"])
+def test_a_flying_robot_with_driven_joints_moves_as_in_mujoco(robot):
+    found = []
+    for engine in ("mujoco", "physx"):
+        env = build(engine, robot=robot)
+        flying(env, spin=2.0)
+        advance(env, 24)
+        data = env.scene.robot.data
+        # After a time t, an integrator with n velocity updates per step dt is g t dt / (2 n) below the parabola. MuJoCo
+        # has one update, and PhysX has eight: the solver iterations of the USD file.
+        pos = data.root_pos_w.clone()
+        pos[:, 2] += G * 24 * DT * DT / 2.0 / (1 if engine == "mujoco" else 8)
+        others = (data.root_quat_w, data.root_lin_vel_w, data.root_ang_vel_w, data.joint_pos, data.joint_vel)
+        found.append([pos, *(values.clone() for values in others)])
+    for ours, theirs, limit in zip(*found, (1e-3, 5e-3, 0.02, 0.1, 0.01, 0.3), strict=True):
+        assert (ours - theirs).abs().max() < limit
+
+
+def test_a_wheel_counts_its_turns():
+    env = build("physx")
+    flying(env)
+    env.scene.sim.expand("opt.gravity").zero_()
+    robot = env.scene.robot
+    wheels, _ = robot.find_joints([".*03"])
+    robot.set_joint_velocity_target(torch.full((2, 2), 20.0), wheels)
+    advance(env, 240)
+    data = robot.data
+    assert data.joint_pos[:, wheels].min() > 2.0 * 2.0 * math.pi
+    before = data.joint_pos[:, wheels].clone()
+    advance(env, 1)
+    assert torch.allclose(data.joint_pos[:, wheels] - before, data.joint_vel[:, wheels] * DT, atol=1e-3)
+
+
+def test_the_ground_carries_the_weight():
+    env = build("physx")
+    robot = env.scene.robot
+    state = robot.data.default_root_state.clone()
+    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.12])
+    robot.write_root_state_to_sim(state)
+    env.scene.refresh()
+    lifted = []
+    for _ in range(360):
+        advance(env, 1)
+        lifted.append(env.scene["contact_forces"].data.net_forces_w.sum(dim=1)[:, 2])
+    weight = env.scene.sim.expand("body_mass").sum(dim=1).float() * G
+    assert torch.allclose(torch.stack(lifted[-60:]).mean(dim=0), weight, rtol=0.01)
+
+
+def test_gravity_mass_and_force_of_an_environment_act_in_physx():
+    env = build("physx", num_envs=4)
+    flying(env)
+    robot, sim = env.scene.robot, env.scene.sim
+    down = torch.tensor([0.0, 0.0, -G], dtype=torch.float64)
+    sim.expand("opt.gravity")[:] = down
+    sim.expand("opt.gravity")[1] = 0.0
+    masses = sim.expand("body_mass")
+    masses[2] *= 2.0
+    sim.expand("body_inertia")[2] *= 2.0
+    sim.set_const()
+    forces = torch.zeros(4, 1, 3)
+    forces[2, 0, 2] = masses[2].sum() * G
+    forces[3, 0, 2] = masses[3].sum() * G * 2.0
+    robot.set_external_force_and_torque(forces, torch.zeros(4, 1, 3), body_ids=[0], is_global=True)
+
+    def rising():
+        mass = masses[:, robot.body_ids].float()
+        return (robot.data.body_lin_vel_w[..., 2] * mass).sum(dim=1) / mass.sum(dim=1)
+
+    start = rising()
+    advance(env, 1)
+    gained = (rising() - start) / (G * DT)
+    assert torch.allclose(gained, torch.tensor([-1.0, 0.0, 0.0, 1.0]), atol=0.02)
+
+
+def test_two_environments_do_not_touch():
+    env = build("physx", "env.scene.env_spacing=0.0")
+    flying(env)
+    pose = env.scene.robot.data.root_pos_w
+    assert torch.allclose(pose[0], pose[1])
+    advance(env, 1)
+    assert env.scene["contact_forces"].data.net_forces_w.abs().max() == 0.0
+
+
+def test_a_robot_drives_on_the_tiles_of_the_generator():
+    env = build_env(compose(["task=terrain", "env.num_envs=4", "env.sim.engine=physx"]).config)
+    env.reset()
+    for _ in range(30):
+        env.step(torch.zeros(4, 6))
+    data = env.scene.robot.data
+    height = data.root_pos_w[:, 2] - env.scene.terrain.height_at(data.root_pos_w[:, :2])
+    assert ((height > 0.03) & (height < 0.12)).all()
+
+
+def test_a_trained_run_says_that_it_does_not_repeat():
+    promise = build("physx").scene.sim.promise()
+    assert promise["name"] == "physx"
+    assert promise["exact"] is False
+    assert promise["version"].startswith("0.7.")

@@ -1,0 +1,285 @@
+"""The engine ``physx``: NVIDIA PhysX moves the robots on the CPU, and MuJoCo computes what depends on their states.
+
+PhysX simulates the robot's own USD file, not its MJCF, so that differences also show errors of the conversion. The
+batch of MuJoCo simulations mirrors PhysX's states. It computes link poses, velocities, rays, and pictures, and holds
+the model fields that events change. Each physics step sends changed states and fields to PhysX, and reads the new
+states back.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from contextlib import suppress
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.batch_engine import BatchEngine
+from wheelleg_exp.sim.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
+from wheelleg_exp.sim.terrain import grid_origins, is_ground
+
+ENGINE = "env.sim.engine"
+_XYZW, _WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]
+_UNLIMITED = 1e10  # N·m
+_NORMAL = 0
+for _field in ("FOUND", "FORCE", "NORMAL"):
+    _NORMAL |= 1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{_field}"))
+_WIDTH = 7  # numbers of one contact: found (1), force (3), normal (3)
+_SPACING = 0.5  # m; distance of the robots' starts in PhysX
+_BODY_FIELDS = {"body_mass", "body_ipos", "body_iquat", "body_inertia"}
+
+
+class PhysxEngine(BatchEngine):
+    """N simulations on PhysX, in float32.
+
+    The result of a simulation repeats to the bit, but not that of a restored state: PhysX does not show the contact
+    data that its next step depends on. Raise ConfigError if PhysX cannot simulate the robot, the ground or the sensors.
+    """
+
+    name = "physx"
+    exact = False
+
+    def __init__(
+        self, model: mujoco.MjModel, num_envs: int, nthread: int, usd: Path, self_collisions: bool | None
+    ) -> None:
+        self._sensordata = torch.zeros(num_envs, model.nsensordata, dtype=torch.float64)
+        self._torque = torch.zeros(num_envs, model.nu, dtype=torch.float64)
+        super().__init__(model, num_envs, nthread)
+        root, links = links_of(usd)
+        with tempfile.TemporaryDirectory(prefix="wheelleg_exp-") as folder:
+            scene = Path(folder, "scene.usda")
+            write_scene(scene, usd, root, links, model, num_envs, self_collisions)
+            self._physx, self._stage = open_scene(scene, self.nthread)
+        from ovphysx.types import TensorType
+
+        self._types, self._robots = TensorType, f"{ROBOTS}/env_*/{root}"
+        self._bindings: dict[str, tuple[Any, torch.Tensor]] = {}
+        self._connect()
+        self._contacts = [self._contact_reader(sensor, links) for sensor in self._contact_sensors()]
+        self._fields_changed = True
+        self._shown = torch.full_like(self._motion, torch.nan)
+        # On a plane, each robot starts near the origin of PhysX, where float32 positions are finest: at 60 m, they have
+        # steps of 4 um, which make a policy's actions chatter. The robots may overlap there, but they never touch.
+        ground = [geom for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
+        flat = all(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE for geom in ground)
+        self._can_shift = self._floating and flat and bool((model.geom_quat[ground] == [1.0, 0.0, 0.0, 0.0]).all())
+        self._shift = torch.zeros(num_envs, 3, dtype=self.dtype)
+        self._start = grid_origins(num_envs, _SPACING, self.device)[:, :2].double()
+
+    def _connect(self) -> None:
+        model, (binding, _) = self.model, self._bound("DOF_POSITION")
+        joints = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_FREE]
+        bodies = [model.body(i).name for i in range(1, model.nbody)]
+        for what, ours, theirs in (("joint", joints, binding.dof_names), ("body", bodies, binding.body_names)):
+            if odd := sorted({*ours} ^ {*theirs}):
+                message = f"only one of PhysX and MuJoCo has the {what} '{odd[0]}'"
+                other = nearest_name(odd[0], [*ours, *theirs])
+                raise ConfigError(message, key="env.robot.asset", expected="one robot in both", nearest=other)
+        ids = [model.joint(name).id for name in binding.dof_names]
+        self._places = torch.as_tensor(model.jnt_qposadr[ids].astype(int))
+        self._dofs = torch.as_tensor(model.jnt_dofadr[ids].astype(int))
+        self._joints = torch.tensor(ids)
+        self._links = torch.tensor([model.body(name).id for name in binding.body_names])
+        self._floating = not binding.is_fixed_base
+        moves = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
+        self._driven = torch.tensor([k for k, joint in enumerate(ids) if joint in moves], dtype=torch.long)
+        self._actuators = torch.tensor([moves[joint] for joint in ids if joint in moves], dtype=torch.long)
+        solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+        shapes = [g for body in self._links.tolist() for g in np.flatnonzero(solid & (model.geom_bodyid == body))]
+        self._shapes = torch.tensor(shapes, dtype=torch.long)
+        found = self._bound("SHAPE_FRICTION_AND_RESTITUTION")[1].shape[1]
+        if found != len(shapes):
+            message = f"PhysX has {found} collision shapes of the robot, and MuJoCo has {len(shapes)}"
+            raise ConfigError(message, key="env.robot.asset", expected="the same shapes in both")
+
+    def __del__(self) -> None:
+        # At the end of the process, ovphysx may already have released everything.
+        with suppress(AttributeError, RuntimeError):
+            self._physx.wait_task(self._physx.detach_ovstage())
+            self._stage.destroy()
+            self._physx.destroy()
+
+    def promise(self) -> dict[str, Any]:
+        because = "PhysX does not show the contact data on which the step after a restored state depends"
+        return {**super().promise(), "version": metadata.version("ovphysx"), "because": because}
+
+    def view(self, name: str) -> torch.Tensor:
+        own = {"sensordata": self._sensordata, "actuator_force": self._torque}
+        return own[name] if name in own else super().view(name)
+
+    def expand(self, name: str) -> torch.Tensor:
+        self._fields_changed = True
+        return super().expand(name)
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        super().load_state_dict(saved)
+        self._fields_changed = True
+        self._shown.fill_(torch.nan)
+
+    def step(self) -> None:
+        if self._fields_changed:
+            self._send_fields()
+        self._send_states()
+        self._send_controls()
+        self._send_wrenches()
+        try:
+            self._physx.step_sync(float(self.model.opt.timestep))
+        except RuntimeError as error:
+            raise SimulationFailure(f"PhysX failed: {error}") from error
+        self._read_states()
+        self.forward()
+        self._read_contacts()
+
+    def _bound(self, name: str) -> tuple[Any, torch.Tensor]:
+        """Return PhysX's access to a quantity of the robots, and a tensor of its shape, float32."""
+        if name not in self._bindings:
+            binding = self._physx.create_tensor_binding(self._robots, tensor_type=self._types[f"ARTICULATION_{name}"])
+            self._bindings[name] = binding, torch.zeros(binding.shape, dtype=torch.float32)
+        return self._bindings[name]
+
+    def _write(self, name: str, values: torch.Tensor, rows: torch.Tensor | None = None) -> None:
+        binding, buffer = self._bound(name)
+        buffer.copy_(values)
+        binding.write(buffer, indices=None if rows is None else rows.int())
+
+    def _read(self, name: str) -> torch.Tensor:
+        binding, buffer = self._bound(name)
+        binding.read(buffer)
+        return buffer.double()
+
+    def _field(self, name: str) -> torch.Tensor:
+        """Return a model field's present values, (N, ...)."""
+        if name in self.expanded:
+            return self.expanded[name].double()
+        values = self.constant(name).double()
+        return values.expand(self.num_envs, *values.shape)
+
+    def _send_fields(self) -> None:
+        dofs, shape = self._dofs, self._bound("DOF_POSITION")[1].shape
+        bias = self._field("actuator_biasprm")[:, self._actuators]
+        limited = self.constant("actuator_forcelimited")[self._actuators].bool()
+        limit = torch.where(limited, self._field("actuator_forcerange")[:, self._actuators, 1], _UNLIMITED)
+        for name, values in {"STIFFNESS": -bias[..., 1], "DAMPING": -bias[..., 2], "MAX_FORCE": limit}.items():
+            self._write(f"DOF_{name}", torch.zeros(shape, dtype=self.dtype).index_copy_(1, self._driven, values))
+        self._write("DOF_ARMATURE", self._field("dof_armature")[:, dofs])
+        friction, viscous = self._field("dof_frictionloss")[:, dofs], self._field("dof_damping")[:, dofs]
+        self._write("DOF_FRICTION_PROPERTIES", torch.stack((friction, friction, viscous), dim=2))
+        sliding = self._field("geom_friction")[:, self._shapes, 0]
+        self._write("SHAPE_FRICTION_AND_RESTITUTION", torch.stack((sliding, sliding, 0.0 * sliding), dim=2))
+        if "jnt_range" in self.expanded:
+            self._write("DOF_LIMIT", self._field("jnt_range")[:, self._joints])
+        if _BODY_FIELDS & self.expanded.keys():  # Otherwise, the masses of the USD file remain.
+            self._write("BODY_MASS", self._field("body_mass")[:, self._links])
+            axes = self._field("body_iquat")[:, self._links][..., _XYZW]
+            self._write("BODY_COM_POSE", torch.cat((self._field("body_ipos")[:, self._links], axes), dim=2))
+            self._write("BODY_INERTIA", torch.diag_embed(self._field("body_inertia")[:, self._links]).flatten(2))
+        self._fields_changed = False
+
+    def _send_states(self) -> None:
+        # Only write the states that were changed since the last step, because PhysX's own states are more exact.
+        rows = (self._motion != self._shown).any(dim=1).nonzero().flatten()
+        if not len(rows):
+            return
+        qpos, qvel = self.view("qpos"), self.view("qvel")
+        if self._can_shift:
+            moved = (qpos[:, :2] != self._shown[:, :2]).any(dim=1, keepdim=True)
+            self._shift[:, :2] = torch.where(moved, qpos[:, :2] - self._start, self._shift[:, :2])
+        if self._floating:
+            self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, qpos[:, 3:7][:, _XYZW]), dim=1), rows)
+            matrix = rotation.quat_to_matrix(qpos[:, 3:7])
+            spin = rotation.rotate(matrix, qvel[:, 3:6])
+            self._write("ROOT_VELOCITY", torch.cat((qvel[:, :3] + self._lever(matrix, spin), spin), dim=1), rows)
+        self._write("DOF_POSITION", _wrapped(qpos[:, self._places]), rows)
+        self._write("DOF_VELOCITY", qvel[:, self._dofs], rows)
+
+    def _lever(self, matrix: torch.Tensor, spin: torch.Tensor) -> torch.Tensor:
+        """Return the velocity of the root's centre of mass minus that of the root link's origin, m/s, (N, 3)."""
+        centre = self._field("body_ipos")[:, int(self._links[0])]
+        return torch.linalg.cross(spin, rotation.rotate(matrix, centre))
+
+    def _send_controls(self) -> None:
+        control, bias = self.view("ctrl"), self._field("actuator_biasprm")
+        torque = control.clone()
+        places, dofs = self._places[self._driven], self._dofs[self._driven]
+        kp, kd = -bias[:, self._actuators, 1], -bias[:, self._actuators, 2]
+        asked = control[:, self._actuators]
+        shape = self._bound("DOF_POSITION")[1].shape
+        # A drive's torque is kp (q* - q) + kd (v* - v), and a control is kp q* + kd v* + effort.
+        of_position, of_velocity = kp > 0.0, (kp == 0.0) & (kd > 0.0)
+        targets = {
+            "DOF_POSITION_TARGET": torch.where(of_position, asked / kp, 0.0),
+            "DOF_VELOCITY_TARGET": torch.where(of_velocity, asked / kd, 0.0),
+            "DOF_ACTUATION_FORCE": torch.where(of_position | of_velocity, 0.0, asked),
+        }
+        for name, values in targets.items():
+            self._write(name, torch.zeros(shape, dtype=self.dtype).index_copy_(1, self._driven, values))
+        torque[:, self._actuators] -= kp * self.view("qpos")[:, places] + kd * self.view("qvel")[:, dofs]
+        low, high = self._field("actuator_forcerange").unbind(dim=2)
+        limited = self.constant("actuator_forcelimited").bool()
+        self._torque.copy_(torch.where(limited, torque.clamp(low, high), torque))
+
+    def _send_wrenches(self) -> None:
+        wrench = self.view("xfrc_applied")[:, self._links].clone()
+        if "opt.gravity" in self.expanded:  # The scene has one gravity; a force on each body gives the difference.
+            excess = self.expanded["opt.gravity"] - torch.as_tensor(self.model.opt.gravity)
+            wrench[..., :3] += self._field("body_mass")[:, self._links, None] * excess[:, None]
+        if wrench.any():
+            centres = self.derived("xipos")[:, self._links] - self._shift[:, None]
+            self._write("LINK_WRENCH", torch.cat((wrench, centres), dim=2))
+
+    def _read_states(self) -> None:
+        qpos, qvel = self.view("qpos"), self.view("qvel")
+        if self._floating:
+            pose, velocity = self._read("ROOT_POSE"), self._read("ROOT_VELOCITY")
+            quat = pose[:, 3:][:, _WXYZ]
+            quat /= torch.linalg.vector_norm(quat, dim=1, keepdim=True)
+            matrix = rotation.quat_to_matrix(quat)
+            qpos[:, :7] = torch.cat((pose[:, :3] + self._shift, quat), dim=1)
+            linear = velocity[:, :3] - self._lever(matrix, velocity[:, 3:])
+            qvel[:, :6] = torch.cat((linear, rotation.rotate_inverse(matrix, velocity[:, 3:])), dim=1)
+        before = qpos[:, self._places]
+        qpos[:, self._places] = before + _wrapped(self._read("DOF_POSITION") - before)
+        qvel[:, self._dofs] = self._read("DOF_VELOCITY")
+        self._shown.copy_(self._motion)
+
+    def _contact_sensors(self) -> list[int]:
+        model = self.model
+        found = [i for i in range(model.nsensor) if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT]
+        for sensor in found:
+            other = model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_BODY and model.sensor_refid[sensor] != 0
+            if model.sensor_intprm[sensor, 0] != _NORMAL or other:
+                what = "contact points, friction, or forces between links, which the engine 'physx' does not measure"
+                message = f"the contact sensor '{model.sensor(sensor).name}' reads {what}"
+                raise ConfigError(message, key="env.scene.sensors", expected="normal forces, or env.sim.engine=mujoco")
+        return found
+
+    def _contact_reader(self, sensor: int, links: dict[str, str]) -> tuple[Any, int, bool]:
+        model = self.model
+        prims = f"{ROBOTS}/env_*/{links[model.body(int(model.sensor_objid[sensor])).name]}"
+        on_ground = model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_BODY
+        ground = [f"{GROUND_PATH}/geom_*"] if on_ground else None
+        reader = self._physx.create_contact_binding([prims], ground, int(on_ground))
+        return reader, int(model.sensor_adr[sensor]), on_ground
+
+    def _read_contacts(self) -> None:
+        for reader, start, on_ground in self._contacts:
+            forces = np.zeros((self.num_envs, *([1] if on_ground else []), 3), dtype=np.float32)
+            (reader.read_normal_force_matrix if on_ground else reader.read_net_normal_forces)(forces)
+            force = torch.from_numpy(forces).double().view(self.num_envs, 3)
+            size = torch.linalg.vector_norm(force, dim=1, keepdim=True)
+            # As in MuJoCo, the normal points away from the sensed body. One contact stands for all contacts.
+            normal = torch.where(size > 0.0, -force / size, 0.0)
+            row = torch.cat(((size > 0.0).double(), size, torch.zeros(self.num_envs, 2), normal), dim=1)
+            self._sensordata[:, start : start + _WIDTH] = row
+
+
+def _wrapped(angles: torch.Tensor) -> torch.Tensor:
+    """Return angles between -2 pi and 2 pi, rad: PhysX counts no further turns of a joint."""
+    return torch.remainder(angles + 2.0 * math.pi, 4.0 * math.pi) - 2.0 * math.pi

@@ -1,0 +1,217 @@
+"""The USD scene that PhysX simulates: the ground and N robots, which refer to the robot's own USD file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.terrain import TERRAIN_KEY, is_ground
+
+GROUND_PATH, ROBOTS = "/World/ground", "/World/robots"
+_ASSET = "env.robot.asset"
+_FAMILIES = ("PhysxSchema", "OmniUsdPhysicsDeformableSchema")
+# The collision groups list what a group collides with, so that the robots of two environments never touch. The
+# friction of a contact is the product of the robot's coefficient, which MuJoCo's model already combines with the
+# ground's coefficient, and 1.
+_SCENE = """#usda 1.0
+(
+    defaultPrim = "World"
+    upAxis = "Z"
+    metersPerUnit = 1
+    kilogramsPerUnit = 1
+)
+def Xform "World"
+{{
+    def PhysicsScene "scene" (prepend apiSchemas = ["PhysxSceneAPI"])
+    {{
+        vector3f physics:gravityDirection = ({down})
+        float physics:gravityMagnitude = {gravity}
+        bool physxScene:invertCollisionGroupFilter = 1
+        bool physxScene:enableGPUDynamics = 0
+        uniform token physxScene:broadphaseType = "MBP"
+    }}
+    def Material "material" (prepend apiSchemas = ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
+    {{
+        float physics:staticFriction = 1
+        float physics:dynamicFriction = 1
+        float physics:restitution = 0
+        uniform token physxMaterial:frictionCombineMode = "multiply"
+        uniform token physxMaterial:restitutionCombineMode = "multiply"
+    }}
+    def Xform "ground" (prepend apiSchemas = ["MaterialBindingAPI"])
+    {{
+        rel material:binding:physics = </World/material>
+{ground}
+    }}
+    def PhysicsCollisionGroup "group_of_ground" (prepend apiSchemas = ["CollectionAPI:colliders"])
+    {{
+        rel collection:colliders:includes = </World/ground>
+        rel physics:filteredGroups = [{groups}]
+    }}
+    def Xform "robots"
+    {{
+{robots}
+    }}
+}}
+"""
+_ROBOT = """def Xform "{name}" (references = @{usd}@)
+{{
+{overs}
+}}
+def PhysicsCollisionGroup "group_of_{name}" (prepend apiSchemas = ["CollectionAPI:colliders"])
+{{
+    rel collection:colliders:includes = </World/robots/{name}>
+    rel physics:filteredGroups = [</World/robots/group_of_{name}>, </World/group_of_ground>]
+}}"""
+_was_registered = False
+
+
+def links_of(usd: Path) -> tuple[str, dict[str, str]]:
+    """Return the path of a robot's articulation root, and the paths of its bodies by name, from its default prim."""
+    from pxr import Usd, UsdPhysics
+
+    if not Usd.Stage.IsSupportedFile(str(usd)):
+        message = f"PhysX simulates a robot's USD file, and '{usd.name}' is not one"
+        raise ConfigError(message, key=_ASSET, expected="a USD file, or env.sim.engine=mujoco")
+    stage = Usd.Stage.Open(str(usd))
+    top = stage.GetDefaultPrim()
+    prims = {str(prim.GetPath().MakeRelativePath(top.GetPath())): prim for prim in Usd.PrimRange(top)}
+    roots = [path for path, prim in prims.items() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
+    bodies = {prim.GetName(): path for path, prim in prims.items() if prim.HasAPI(UsdPhysics.RigidBodyAPI)}
+    if len(roots) != 1 or roots[0] == ".":
+        message = f"{usd.name} has {len(roots)} articulation roots below its default prim"
+        raise ConfigError(message, key=_ASSET, expected="one, for the engine 'physx'")
+    return roots[0], bodies
+
+
+def write_scene(
+    path: Path,
+    usd: Path,
+    root: str,
+    links: Mapping[str, str],
+    model: mujoco.MjModel,
+    num_envs: int,
+    self_collisions: bool | None,
+) -> None:
+    """Write the USD layer of N robots, named ``env_0`` and so on, and of the ground of a MuJoCo model.
+
+    The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the setting of the
+    USD file; None keeps it.
+    """
+    overs = _overs(links.values(), root, self_collisions)
+    names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
+    ground = [_ground_prim(model, geom) for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
+    size = float(np.linalg.norm(model.opt.gravity))
+    text = _SCENE.format(
+        down=_numbers(model.opt.gravity / size if size else [0.0, 0.0, -1.0]),
+        gravity=size,
+        ground="\n".join(ground),
+        groups=", ".join(["</World/group_of_ground>", *(f"<{ROBOTS}/group_of_{name}>" for name in names)]),
+        robots="\n".join(_ROBOT.format(name=name, usd=usd, overs=overs) for name in names),
+    )
+    path.write_text(text, encoding="utf-8")
+
+
+def _overs(paths: Iterable[str], root: str, self_collisions: bool | None) -> str:
+    """Return USD text that makes all links report their contacts, and that sets self-collisions at the root."""
+    children: dict[str, list[str]] = {}
+    for path in paths:
+        children.setdefault(path, [])
+        for parent in (str(p) for p in Path(path).parents):
+            if path not in children.setdefault(parent, []):
+                children[parent].append(path)
+            path = parent
+    links = set(paths)
+
+    def text(path: str) -> str:
+        apis, values = [], []
+        if path in links:
+            apis, values = ["PhysxContactReportAPI"], ["float physxContactReport:threshold = 0"]
+        if path == root and self_collisions is not None:
+            apis.append("PhysxArticulationAPI")
+            values.append(f"bool physxArticulation:enabledSelfCollisions = {int(self_collisions)}")
+        listed = f"(prepend apiSchemas = {json.dumps(apis)})" if apis else ""
+        inner = "\n".join([*values, *(text(child) for child in children[path])])
+        return f'over "{Path(path).name}" {listed}\n{{\n{inner}\n}}'
+
+    return "\n".join(text(child) for child in children["."])
+
+
+def _numbers(values: Any) -> str:
+    return ", ".join(f"{value:.9g}" for value in values)
+
+
+def _tuples(rows: np.ndarray) -> str:
+    return ", ".join(f"({_numbers(row)})" for row in rows)
+
+
+def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
+    """Return the prim of a ground's geom, in world axes."""
+    kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+    apis = '(prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"])'
+    pose = f"""quatd xformOp:orient = ({_numbers(model.geom_quat[geom])})
+        double3 xformOp:translate = ({_numbers(model.geom_pos[geom])})
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:orient"]"""
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return f'def Plane "geom_{geom}" {apis}\n{{\n        uniform token axis = "Z"\n        {pose}\n}}'
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+        points, triangles = signs * size, np.array([[f[0], f[i], f[i + 1]] for f in faces for i in (1, 2)])
+    elif kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+        points, triangles = _height_field(model, int(model.geom_dataid[geom]))
+    else:
+        message = f"the ground has a geom of the type {kind.name.removeprefix('mjGEOM_').lower()}"
+        raise ConfigError(message, key=TERRAIN_KEY, expected="planes, boxes and height fields, or engine: mujoco")
+    return f"""def Mesh "geom_{geom}" {apis}
+{{
+        int[] faceVertexCounts = [{", ".join("3" for _ in triangles)}]
+        int[] faceVertexIndices = [{", ".join(map(str, triangles.ravel()))}]
+        point3f[] points = [{_tuples(points)}]
+        uniform token physics:approximation = "none"
+        uniform token subdivisionScheme = "none"
+        {pose}
+}}"""
+
+
+def _height_field(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (V, 3), m, and triangles (F, 3) of a height field; MuJoCo splits cells in the same way."""
+    rows, cols, start = int(model.hfield_nrow[field]), int(model.hfield_ncol[field]), int(model.hfield_adr[field])
+    width, depth, top, _ = model.hfield_size[field]
+    y, x = np.meshgrid(np.linspace(-depth, depth, rows), np.linspace(-width, width, cols), indexing="ij")
+    z = model.hfield_data[start : start + rows * cols].reshape(rows, cols) * top
+    ids = np.arange(rows * cols).reshape(rows, cols)
+    low, right, up, far = ids[:-1, :-1], ids[:-1, 1:], ids[1:, :-1], ids[1:, 1:]
+    triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((low, right, far), (low, far, up))]
+    return np.stack((x, y, z), axis=-1).reshape(-1, 3), np.concatenate(triangles)
+
+
+def open_scene(path: Path, threads: int) -> tuple[Any, Any]:
+    """Return PhysX with the scene of a USD file, and the scene's stage, which must live as long as PhysX."""
+    import ovphysx
+    import ovstage
+    from ovphysx.types import GlobalConfigKey
+
+    global _was_registered  # USD schemas can only be registered once in a process.
+    if not _was_registered:
+        schemas = metadata.distribution("physx-usd-schemas")
+        roots = [str(schemas.locate_file(f"physx_usd_schemas/{family}/resources")) for family in _FAMILIES]
+        ovstage.population.register_usd_schemas([*roots, str(ovphysx.newton_schema_root())])
+        ovphysx.enable_default_log_output(False)  # PhysX writes to standard output, where commands print JSON.
+        ovphysx.PhysX.set_cpu_mode(True)
+        ovphysx.set_global_config(GlobalConfigKey.NUM_THREADS, threads)
+        _was_registered = True
+    physx = ovphysx.PhysX()
+    stage = ovstage.Stage("wheelleg_exp")
+    ovstage.population.open_usd(stage, str(path), ordinal=1, domains=ovstage.PopulationDomain.ALL)
+    stage.advance_write_floor(ordinal=1).wait()
+    physx.wait_task(physx.attach_ovstage(stage, read_ordinal=1))
+    physx.warmup()
+    return physx, stage
