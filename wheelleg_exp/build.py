@@ -32,4 +32,12 @@ def prepare_asset(
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:
     """Build the simulated environment that a composed config describes."""
     mjcf = prepare_asset(config, asset_roots).output
-    return ManagerBasedRLEnv(config["env"], mjcf, int(config["seed"]))
+    return ManagerBasedRLEnv(with_robot_file(config["env"], asset_roots), mjcf, int(config["seed"]))
+
+
+def with_robot_file(env: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> Mapping[str, Any]:
+    """Return an ``env`` section with the absolute path of the robot file, if the engine ``physx`` reads this file."""
+    if env["sim"]["engine"] != "physx":
+        return env
+    usd = find_asset(env["robot"]["asset"], asset_roots, key="env.robot.asset").resolve()
+    return {**env, "robot": {**env["robot"], "asset": str(usd)}}

@@ -96,7 +96,7 @@ def test_evaluations_of_different_scenarios_and_damaged_evaluations_are_refused(
 @pytest.mark.parametrize("words", [("--engines", "mujoco"), ("--engines", "mujoco,mujoco"),
                                    ("--engines", "mujoco,warp", "--reference")])  # fmt: skip
 def test_a_comparison_of_engines_needs_two_of_them_alone(run, words):
-    assert "is not a comparison of two engines alone" in refused("evaluate", run.path, *words, *SHORT)
+    assert "does not name two engines, or another option excludes it" in refused("evaluate", run.path, *words, *SHORT)
 
 
 def test_the_same_policy_is_compared_in_two_engines(run):

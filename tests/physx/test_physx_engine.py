@@ -1,4 +1,4 @@
-"""Compare PhysX with MuJoCo and with closed forms. ``nox -s physx`` runs these tests in an own environment."""
+"""Compare PhysX with MuJoCo and with closed forms. ``nox -s physx`` runs these tests in a separate environment."""
 
 import math
 
@@ -7,6 +7,7 @@ import torch
 
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.errors import ConfigError
 
 pytest.importorskip("ovphysx")
 
@@ -116,6 +117,31 @@ def test_gravity_mass_and_force_of_an_environment_act_in_physx():
     assert torch.allclose(gained, torch.tensor([-1.0, 0.0, 0.0, 1.0]), atol=0.02)
 
 
+@pytest.mark.parametrize("turns", [0.7, 1.5, -3.0])
+def test_a_wheel_reaches_a_target_several_turns_away(turns):
+    env = build("physx", "env.robot.actuators.wheels.stiffness=0.02", "env.robot.actuators.wheels.damping=0.004")
+    flying(env)
+    env.scene.sim.expand("opt.gravity").zero_()
+    robot = env.scene.robot
+    wheels, _ = robot.find_joints([".*03"])
+    robot.set_joint_velocity_target(torch.zeros(2, 2), wheels)
+    robot.set_joint_position_target(torch.full((2, 2), turns * 2.0 * math.pi), wheels)
+    advance(env, 480)
+    assert torch.allclose(robot.data.joint_pos[:, wheels], torch.tensor(turns * 2.0 * math.pi), atol=0.05)
+
+
+@pytest.mark.parametrize(("word", "key"), [("+env.robot.root_frame=[0,0,0,1]", "env.robot.root_frame"),
+                                           ("env.robot.base=fixed", "env.robot.base")])  # fmt: skip
+def test_robots_that_physx_cannot_simulate_are_refused(word, key):
+    with pytest.raises(ConfigError, match=key.replace(".", r"\.")):
+        build("physx", word)
+
+
+def test_a_field_without_counterpart_in_physx_is_refused():
+    with pytest.raises(ConfigError, match="jnt_stiffness"):
+        build("physx").scene.sim.expand("jnt_stiffness")
+
+
 def test_two_environments_do_not_touch():
     env = build("physx", "env.scene.env_spacing=0.0")
     flying(env)
@@ -135,7 +161,7 @@ def test_a_robot_drives_on_the_tiles_of_the_generator():
     assert ((height > 0.03) & (height < 0.12)).all()
 
 
-def test_a_trained_run_says_that_it_does_not_repeat():
+def test_the_manifest_states_that_a_restored_state_is_not_exact():
     promise = build("physx").scene.sim.promise()
     assert promise["name"] == "physx"
     assert promise["exact"] is False

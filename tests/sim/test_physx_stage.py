@@ -71,5 +71,14 @@ def test_what_physx_cannot_simulate_is_refused_by_its_key(tmp_path):
     urdf = tmp_path / "robot.urdf"
     with pytest.raises(ConfigError, match=r"env\.robot\.asset.*'robot\.urdf' is not one"):
         links_of(urdf)
+    empty = tmp_path / "empty.usda"
+    header = '#usda 1.0\n(defaultPrim = "a"\n metersPerUnit = {}\n upAxis = "Z")\ndef Xform "a"\n{{\n}}\n'
+    empty.write_text(header.format(0.01))
+    with pytest.raises(ConfigError, match=r"metersPerUnit and kilogramsPerUnit \(0\.01, 1\.0\)"):
+        links_of(empty)
+    rootless = tmp_path / "rootless.usda"
+    rootless.write_text(header.format(1))
+    with pytest.raises(ConfigError, match=r"articulation roots at: \(nowhere\)"):
+        links_of(rootless)
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*a geom of the type sphere"):
         staged(tmp_path, '<geom name="ground" type="sphere" size="1"/>', 1)

@@ -84,7 +84,7 @@ def _engines(args: argparse.Namespace) -> list[str]:
         return [] if args.engine is None else [f"env.sim.engine={args.engine}"]
     names = args.engines.split(",")
     if len(set(names)) != 2 or args.engine is not None or args.against or args.reference:
-        message = f"'{args.engines}' is not a comparison of two engines alone"
+        message = f"'{args.engines}' does not name two engines, or another option excludes it"
         expected = "two engines, such as mujoco,physx, without --engine, --against, and --reference"
         raise WheellegError(message, key="--engines", expected=expected)
     return [f"env.sim.engine={name}" for name in names]

@@ -358,13 +358,16 @@ def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     changes of the actions count too. A difference counts if its confidence interval excludes 0, and if it exceeds
     0.02 of a share, or 10 % of the first engine's value.
     """
-    named = [(row.metric.rpartition("/")[2], row) for row in found if math.isfinite(row.interval.value)]
+    named = [(row.metric.rpartition("/")[2], row) for row in found if math.isfinite(row.first)]
     judged = [row for name, row in named if name in _JUDGED or (name.startswith("limit_") and "°" in name)]
+    if not judged:
+        return f"No metric can be compared between {first} and {second}."
     said = []
     for row in judged:
         change = row.second - row.first
         limit = _SHARE if not row.unit else _RATIO * abs(row.first)
-        if abs(change) > limit and not row.interval.low <= 0.0 <= row.interval.high:
+        is_sure = math.isnan(change) or row.interval.low > 0.0 or row.interval.high < 0.0
+        if is_sure and not abs(change) <= limit:
             is_ratio = bool(row.unit) and row.first != 0.0
             text = f"{row.second / row.first:.3g} times" if is_ratio else f"{row.second:.3g}, not {row.first:.3g}"
             said.append(f"{row.metric} ({text})")

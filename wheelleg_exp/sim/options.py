@@ -25,6 +25,9 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         if given["engine"] == "physx" and find_spec("ovphysx") is None:
             message = "the engine 'physx' needs the package ovphysx, which is not installed"
             yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows")
+        if given["engine"] == "physx" and given.get("deterministic"):
+            message = "the engine 'physx' does not continue a restored state identically"
+            yield Broken("deterministic", message, "false, or engine: mujoco, which is bit-reproducible")
         return
     if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
         yield Broken("device", f"{device!r} is not a device of the engine 'warp'", "cpu, or cuda:0 and so on")
@@ -47,7 +50,7 @@ class SimOptions:
 
     Attributes:
         engine: The engine ``mujoco`` simulates bit-reproducibly on the CPU; ``warp`` is mujoco-warp, in single
-            precision, usually on a GPU; ``physx`` is NVIDIA PhysX on the CPU, to judge policies (docs/engines.md).
+            precision, usually on a GPU; ``physx`` is NVIDIA PhysX on the CPU, to evaluate policies (docs/engines.md).
         device: device of the engine's tensors, ``cpu``, or for the engine ``warp`` also ``cuda:0`` and so on.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
@@ -66,7 +69,7 @@ class SimOptions:
         graph: engine ``warp`` on a GPU: launch a physics step as one CUDA graph, which changes no number.
         graph_step: engine ``warp`` on a GPU: launch the torch operations of a control step (actions, rewards, resets,
             commands, observations) as CUDA graphs. docs/gpu.md lists the requirements for terms.
-        deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU.
+        deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU, and ``physx``.
     """
 
     engine: Literal["mujoco", "warp", "physx"]

@@ -25,22 +25,22 @@ from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
 from wheelleg_exp.sim.terrain import grid_origins, is_ground
 
-ENGINE = "env.sim.engine"
 _XYZW, _WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]
 _UNLIMITED = 1e10  # N·m
-_NORMAL = 0
-for _field in ("FOUND", "FORCE", "NORMAL"):
-    _NORMAL |= 1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{_field}"))
+_FIELDS = mujoco.mjtConDataField
+_NORMAL = sum(1 << int(f) for f in (_FIELDS.mjCONDATA_FOUND, _FIELDS.mjCONDATA_FORCE, _FIELDS.mjCONDATA_NORMAL))
 _WIDTH = 7  # numbers of one contact: found (1), force (3), normal (3)
 _SPACING = 0.5  # m; distance of the robots' starts in PhysX
 _BODY_FIELDS = {"body_mass", "body_ipos", "body_iquat", "body_inertia"}
+_SENT = _BODY_FIELDS | {"actuator_biasprm", "actuator_forcerange", "dof_armature", "dof_frictionloss", "dof_damping"}
+_SENT |= {"geom_friction", "jnt_range", "jnt_limited", "opt.gravity"}
 
 
 class PhysxEngine(BatchEngine):
     """N simulations on PhysX, in float32.
 
-    The result of a simulation repeats to the bit, but not that of a restored state: PhysX does not show the contact
-    data that its next step depends on. Raise ConfigError if PhysX cannot simulate the robot, the ground or the sensors.
+    A simulation repeats to the bit, but not after its state was restored: PhysX gives no access to the contact data
+    that its next step depends on. Raise ConfigError if PhysX cannot simulate the robot, the ground, or the sensors.
     """
 
     name = "physx"
@@ -69,7 +69,7 @@ class PhysxEngine(BatchEngine):
         # steps of 4 um, which make a policy's actions chatter. The robots may overlap there, but they never touch.
         ground = [geom for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
         flat = all(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE for geom in ground)
-        self._can_shift = self._floating and flat and bool((model.geom_quat[ground] == [1.0, 0.0, 0.0, 0.0]).all())
+        self._can_shift = flat and bool((model.geom_quat[ground] == [1.0, 0.0, 0.0, 0.0]).all())
         self._shift = torch.zeros(num_envs, 3, dtype=self.dtype)
         self._start = grid_origins(num_envs, _SPACING, self.device)[:, :2].double()
 
@@ -79,7 +79,7 @@ class PhysxEngine(BatchEngine):
         bodies = [model.body(i).name for i in range(1, model.nbody)]
         for what, ours, theirs in (("joint", joints, binding.dof_names), ("body", bodies, binding.body_names)):
             if odd := sorted({*ours} ^ {*theirs}):
-                message = f"only one of PhysX and MuJoCo has the {what} '{odd[0]}'"
+                message = f"PhysX and MuJoCo disagree about the {what} '{odd[0]}'"
                 other = nearest_name(odd[0], [*ours, *theirs])
                 raise ConfigError(message, key="env.robot.asset", expected="one robot in both", nearest=other)
         ids = [model.joint(name).id for name in binding.dof_names]
@@ -87,10 +87,14 @@ class PhysxEngine(BatchEngine):
         self._dofs = torch.as_tensor(model.jnt_dofadr[ids].astype(int))
         self._joints = torch.tensor(ids)
         self._links = torch.tensor([model.body(name).id for name in binding.body_names])
-        self._floating = not binding.is_fixed_base
+        if binding.is_fixed_base or len(joints) == model.njnt:
+            message = "the engine 'physx' only simulates robots with a floating base"
+            raise ConfigError(message, key="env.robot.base", expected="floating, or env.sim.engine=mujoco")
         moves = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
         self._driven = torch.tensor([k for k, joint in enumerate(ids) if joint in moves], dtype=torch.long)
         self._actuators = torch.tensor([moves[joint] for joint in ids if joint in moves], dtype=torch.long)
+        driven = [joint for joint in ids if joint in moves]
+        self._unlimited = torch.as_tensor(model.jnt_limited[driven] == 0)
         solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         shapes = [g for body in self._links.tolist() for g in np.flatnonzero(solid & (model.geom_bodyid == body))]
         self._shapes = torch.tensor(shapes, dtype=torch.long)
@@ -107,16 +111,26 @@ class PhysxEngine(BatchEngine):
             self._physx.destroy()
 
     def promise(self) -> dict[str, Any]:
-        because = "PhysX does not show the contact data on which the step after a restored state depends"
+        because = "PhysX gives no access to the contact data on which the step after a restored state depends"
         return {**super().promise(), "version": metadata.version("ovphysx"), "because": because}
 
     def view(self, name: str) -> torch.Tensor:
         own = {"sensordata": self._sensordata, "actuator_force": self._torque}
         return own[name] if name in own else super().view(name)
 
+    def may_differ(self, name: str) -> bool:
+        return name in _SENT
+
     def expand(self, name: str) -> torch.Tensor:
+        if name not in _SENT:
+            message = f"the engine 'physx' cannot change the model field '{name}'"
+            raise ConfigError(message, key="env.sim.engine", expected="mujoco")
         self._fields_changed = True
         return super().expand(name)
+
+    def set_const(self) -> None:
+        self._fields_changed = True
+        super().set_const()
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         super().load_state_dict(saved)
@@ -155,7 +169,7 @@ class PhysxEngine(BatchEngine):
         return buffer.double()
 
     def _field(self, name: str) -> torch.Tensor:
-        """Return a model field's present values, (N, ...)."""
+        """Return a model field's current values, (N, ...)."""
         if name in self.expanded:
             return self.expanded[name].double()
         values = self.constant(name).double()
@@ -166,7 +180,9 @@ class PhysxEngine(BatchEngine):
         bias = self._field("actuator_biasprm")[:, self._actuators]
         limited = self.constant("actuator_forcelimited")[self._actuators].bool()
         limit = torch.where(limited, self._field("actuator_forcerange")[:, self._actuators, 1], _UNLIMITED)
-        for name, values in {"STIFFNESS": -bias[..., 1], "DAMPING": -bias[..., 2], "MAX_FORCE": limit}.items():
+        by_speed = self._unlimited & (bias[..., 2] < 0.0)
+        stiffness = torch.where(by_speed, 0.0, -bias[..., 1])
+        for name, values in {"STIFFNESS": stiffness, "DAMPING": -bias[..., 2], "MAX_FORCE": limit}.items():
             self._write(f"DOF_{name}", torch.zeros(shape, dtype=self.dtype).index_copy_(1, self._driven, values))
         self._write("DOF_ARMATURE", self._field("dof_armature")[:, dofs])
         friction, viscous = self._field("dof_frictionloss")[:, dofs], self._field("dof_damping")[:, dofs]
@@ -191,11 +207,10 @@ class PhysxEngine(BatchEngine):
         if self._can_shift:
             moved = (qpos[:, :2] != self._shown[:, :2]).any(dim=1, keepdim=True)
             self._shift[:, :2] = torch.where(moved, qpos[:, :2] - self._start, self._shift[:, :2])
-        if self._floating:
-            self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, qpos[:, 3:7][:, _XYZW]), dim=1), rows)
-            matrix = rotation.quat_to_matrix(qpos[:, 3:7])
-            spin = rotation.rotate(matrix, qvel[:, 3:6])
-            self._write("ROOT_VELOCITY", torch.cat((qvel[:, :3] + self._lever(matrix, spin), spin), dim=1), rows)
+        self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, qpos[:, 3:7][:, _XYZW]), dim=1), rows)
+        matrix = rotation.quat_to_matrix(qpos[:, 3:7])
+        spin = rotation.rotate(matrix, qvel[:, 3:6])
+        self._write("ROOT_VELOCITY", torch.cat((qvel[:, :3] + self._lever(matrix, spin), spin), dim=1), rows)
         self._write("DOF_POSITION", _wrapped(qpos[:, self._places]), rows)
         self._write("DOF_VELOCITY", qvel[:, self._dofs], rows)
 
@@ -211,11 +226,14 @@ class PhysxEngine(BatchEngine):
         kp, kd = -bias[:, self._actuators, 1], -bias[:, self._actuators, 2]
         asked = control[:, self._actuators]
         shape = self._bound("DOF_POSITION")[1].shape
-        # A drive's torque is kp (q* - q) + kd (v* - v), and a control is kp q* + kd v* + effort.
-        of_position, of_velocity = kp > 0.0, (kp == 0.0) & (kd > 0.0)
+        # A drive's torque is kp (q* - q) + kd (v* - v), and a control is kp q* + kd v* + effort. PhysX has no targets
+        # beyond one turn, so the velocity target of a joint without limits contains the position error.
+        by_speed = self._unlimited & (kd > 0.0)
+        of_position, of_velocity = (kp > 0.0) & ~by_speed, by_speed | ((kp == 0.0) & (kd > 0.0))
+        pulled = torch.where(by_speed, asked - kp * self.view("qpos")[:, places], asked)
         targets = {
             "DOF_POSITION_TARGET": torch.where(of_position, asked / kp, 0.0),
-            "DOF_VELOCITY_TARGET": torch.where(of_velocity, asked / kd, 0.0),
+            "DOF_VELOCITY_TARGET": torch.where(of_velocity, pulled / kd, 0.0),
             "DOF_ACTUATION_FORCE": torch.where(of_position | of_velocity, 0.0, asked),
         }
         for name, values in targets.items():
@@ -236,14 +254,13 @@ class PhysxEngine(BatchEngine):
 
     def _read_states(self) -> None:
         qpos, qvel = self.view("qpos"), self.view("qvel")
-        if self._floating:
-            pose, velocity = self._read("ROOT_POSE"), self._read("ROOT_VELOCITY")
-            quat = pose[:, 3:][:, _WXYZ]
-            quat /= torch.linalg.vector_norm(quat, dim=1, keepdim=True)
-            matrix = rotation.quat_to_matrix(quat)
-            qpos[:, :7] = torch.cat((pose[:, :3] + self._shift, quat), dim=1)
-            linear = velocity[:, :3] - self._lever(matrix, velocity[:, 3:])
-            qvel[:, :6] = torch.cat((linear, rotation.rotate_inverse(matrix, velocity[:, 3:])), dim=1)
+        pose, velocity = self._read("ROOT_POSE"), self._read("ROOT_VELOCITY")
+        quat = pose[:, 3:][:, _WXYZ]
+        quat /= torch.linalg.vector_norm(quat, dim=1, keepdim=True)
+        matrix = rotation.quat_to_matrix(quat)
+        qpos[:, :7] = torch.cat((pose[:, :3] + self._shift, quat), dim=1)
+        linear = velocity[:, :3] - self._lever(matrix, velocity[:, 3:])
+        qvel[:, :6] = torch.cat((linear, rotation.rotate_inverse(matrix, velocity[:, 3:])), dim=1)
         before = qpos[:, self._places]
         qpos[:, self._places] = before + _wrapped(self._read("DOF_POSITION") - before)
         qvel[:, self._dofs] = self._read("DOF_VELOCITY")

@@ -17,9 +17,9 @@ from wheelleg_exp.sim.terrain import TERRAIN_KEY, is_ground
 GROUND_PATH, ROBOTS = "/World/ground", "/World/robots"
 _ASSET = "env.robot.asset"
 _FAMILIES = ("PhysxSchema", "OmniUsdPhysicsDeformableSchema")
-# The collision groups list what a group collides with, so that the robots of two environments never touch. The
-# friction of a contact is the product of the robot's coefficient, which MuJoCo's model already combines with the
-# ground's coefficient, and 1.
+# The filter of a collision group lists the groups that it collides with, so that the robots of two environments never
+# touch. PhysX combines two materials by the stronger of their modes (average, min, multiply, max). With 0 and max, the
+# friction is the robot's coefficient, which MuJoCo's model already combines with the ground's coefficient.
 _SCENE = """#usda 1.0
 (
     defaultPrim = "World"
@@ -39,11 +39,11 @@ def Xform "World"
     }}
     def Material "material" (prepend apiSchemas = ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
     {{
-        float physics:staticFriction = 1
-        float physics:dynamicFriction = 1
+        float physics:staticFriction = 0
+        float physics:dynamicFriction = 0
         float physics:restitution = 0
-        uniform token physxMaterial:frictionCombineMode = "multiply"
-        uniform token physxMaterial:restitutionCombineMode = "multiply"
+        uniform token physxMaterial:frictionCombineMode = "max"
+        uniform token physxMaterial:restitutionCombineMode = "max"
     }}
     def Xform "ground" (prepend apiSchemas = ["MaterialBindingAPI"])
     {{
@@ -61,7 +61,7 @@ def Xform "World"
     }}
 }}
 """
-_ROBOT = """def Xform "{name}" (references = @{usd}@)
+_ROBOT = """def Xform "{name}" (references = @@@{usd}@@@)
 {{
 {overs}
 }}
@@ -75,7 +75,7 @@ _was_registered = False
 
 def links_of(usd: Path) -> tuple[str, dict[str, str]]:
     """Return the path of a robot's articulation root, and the paths of its bodies by name, from its default prim."""
-    from pxr import Usd, UsdPhysics
+    from pxr import Usd, UsdGeom, UsdPhysics
 
     if not Usd.Stage.IsSupportedFile(str(usd)):
         message = f"PhysX simulates a robot's USD file, and '{usd.name}' is not one"
@@ -83,11 +83,19 @@ def links_of(usd: Path) -> tuple[str, dict[str, str]]:
     stage = Usd.Stage.Open(str(usd))
     top = stage.GetDefaultPrim()
     prims = {str(prim.GetPath().MakeRelativePath(top.GetPath())): prim for prim in Usd.PrimRange(top)}
+    units = UsdGeom.GetStageMetersPerUnit(stage), UsdPhysics.GetStageKilogramsPerUnit(stage)
+    up = UsdGeom.GetStageUpAxis(stage)
+    if (*units, up) != (1.0, 1.0, "Z"):
+        message = f"{usd.name} has metersPerUnit and kilogramsPerUnit {units} and upAxis {up}"
+        raise ConfigError(message, key=_ASSET, expected="1, 1, and Z, for the engine 'physx'")
+    if any(prim.IsA(UsdPhysics.CollisionGroup) for prim in prims.values()):
+        message = f"{usd.name} has collision groups, which the engine 'physx' needs for the environments"
+        raise ConfigError(message, key=_ASSET, expected="filtered pairs, or env.sim.engine=mujoco")
     roots = [path for path, prim in prims.items() if prim.HasAPI(UsdPhysics.ArticulationRootAPI)]
     bodies = {prim.GetName(): path for path, prim in prims.items() if prim.HasAPI(UsdPhysics.RigidBodyAPI)}
     if len(roots) != 1 or roots[0] == ".":
-        message = f"{usd.name} has {len(roots)} articulation roots below its default prim"
-        raise ConfigError(message, key=_ASSET, expected="one, for the engine 'physx'")
+        message = f"{usd.name} has its articulation roots at: {', '.join(roots) or '(nowhere)'}"
+        raise ConfigError(message, key=_ASSET, expected="one root below the default prim, for the engine 'physx'")
     return roots[0], bodies
 
 
@@ -103,7 +111,7 @@ def write_scene(
     """Write the USD layer of N robots, named ``env_0`` and so on, and of the ground of a MuJoCo model.
 
     The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the setting of the
-    USD file; None keeps it.
+    USD file; None leaves it unchanged.
     """
     overs = _overs(links.values(), root, self_collisions)
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
@@ -114,7 +122,7 @@ def write_scene(
         gravity=size,
         ground="\n".join(ground),
         groups=", ".join(["</World/group_of_ground>", *(f"<{ROBOTS}/group_of_{name}>" for name in names)]),
-        robots="\n".join(_ROBOT.format(name=name, usd=usd, overs=overs) for name in names),
+        robots="\n".join(_ROBOT.format(name=name, usd=usd.as_posix(), overs=overs) for name in names),
     )
     path.write_text(text, encoding="utf-8")
 
@@ -210,8 +218,11 @@ def open_scene(path: Path, threads: int) -> tuple[Any, Any]:
         _was_registered = True
     physx = ovphysx.PhysX()
     stage = ovstage.Stage("wheelleg_exp")
-    ovstage.population.open_usd(stage, str(path), ordinal=1, domains=ovstage.PopulationDomain.ALL)
-    stage.advance_write_floor(ordinal=1).wait()
-    physx.wait_task(physx.attach_ovstage(stage, read_ordinal=1))
-    physx.warmup()
+    try:
+        ovstage.population.open_usd(stage, str(path), ordinal=1, domains=ovstage.PopulationDomain.ALL)
+        stage.advance_write_floor(ordinal=1).wait()
+        physx.wait_task(physx.attach_ovstage(stage, read_ordinal=1))
+        physx.warmup()
+    except Exception as error:  # The packages raise several classes of errors, with the reason as their text.
+        raise ConfigError(f"PhysX cannot open the scene: {error}", key=_ASSET, expected="a robot for PhysX") from error
     return physx, stage
