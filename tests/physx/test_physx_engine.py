@@ -1,13 +1,16 @@
 """Compare PhysX with MuJoCo and with closed forms. ``nox -s physx`` runs these tests in a separate environment."""
 
 import math
+import shutil
 
 import pytest
 import torch
 
-from wheelleg_exp.build import build_env
+from wheelleg_exp.build import build_env, prepare_asset
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.paths import assets_dir
 
 pytest.importorskip("ovphysx")
 
@@ -43,22 +46,58 @@ def advance(env, steps):
         env.scene.update()
 
 
+LIMITS = (4e-4, 2e-3, 8e-3, 0.04, 3.5e-3, 0.12)  # m, of quaternions, m/s, rad/s, rad, rad/s
+
+
+def flight(env):
+    """Return position, orientation, velocities, joint positions and joint velocities after a flight of 0.2 s."""
+    flying(env, spin=2.0)
+    advance(env, 24)
+    data = env.scene.robot.data
+    # After a time t, an integrator with n velocity updates per step dt is g t dt / (2 n) below the parabola. MuJoCo has
+    # one update, and PhysX has eight: the solver iterations of the USD file.
+    pos = data.root_pos_w.clone()
+    pos[:, 2] += G * 24 * DT * DT / 2.0 / (1 if env.scene.sim.name == "mujoco" else 8)
+    others = (data.root_quat_w, data.root_lin_vel_w, data.root_ang_vel_w, data.joint_pos, data.joint_vel)
+    return [pos, *(values.clone() for values in others)]
+
+
+def worst(ours, theirs):
+    """Return the largest difference of two flights, as a multiple of its limit."""
+    return max(float((a - b).abs().max()) / limit for a, b, limit in zip(ours, theirs, LIMITS, strict=True))
+
+
 @pytest.mark.parametrize("robot", ["physical", "article"])
 def test_a_flying_robot_with_driven_joints_moves_as_in_mujoco(robot):
-    found = []
-    for engine in ("mujoco", "physx"):
-        env = build(engine, robot=robot)
-        flying(env, spin=2.0)
-        advance(env, 24)
-        data = env.scene.robot.data
-        # After a time t, an integrator with n velocity updates per step dt is g t dt / (2 n) below the parabola. MuJoCo
-        # has one update, and PhysX has eight: the solver iterations of the USD file.
-        pos = data.root_pos_w.clone()
-        pos[:, 2] += G * 24 * DT * DT / 2.0 / (1 if engine == "mujoco" else 8)
-        others = (data.root_quat_w, data.root_lin_vel_w, data.root_ang_vel_w, data.joint_pos, data.joint_vel)
-        found.append([pos, *(values.clone() for values in others)])
-    for ours, theirs, limit in zip(*found, (1e-3, 5e-3, 0.02, 0.1, 0.01, 0.3), strict=True):
-        assert (ours - theirs).abs().max() < limit
+    assert worst(*(flight(build(engine, robot=robot)) for engine in ("mujoco", "physx"))) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("diagonalInertia = (0.000144573333, 0.000179573333,", "diagonalInertia = (0.000289146666, 0.000359146666,"),
+        ("centerOfMass = (0, 0, -0.02125)", "centerOfMass = (0, 0, -0.05)"),
+        ('axis = "Y"', 'axis = "X"'),
+        ("localPos0 = (0, 0.04, 0)", "localPos0 = (0, 0.08, 0)"),
+        ("l_thigh_link", "r_thigh_link"),
+    ],
+)
+def test_errors_of_the_conversion_become_visible(tmp_path, right, wrong):
+    shutil.copytree(assets_dir() / "wheelleg", tmp_path / "wheelleg")
+    physics = tmp_path / "wheelleg/configuration/wheelleg_physics.usda"
+    text = physics.read_text()
+    assert right in text
+    if "thigh" in right:  # Exchange the left and the right hip.
+        text = text.replace('def PhysicsRevoluteJoint "l01"', 'def PhysicsRevoluteJoint "x01"')
+        text = text.replace('def PhysicsRevoluteJoint "r01"', 'def PhysicsRevoluteJoint "l01"')
+        physics.write_text(text.replace('def PhysicsRevoluteJoint "x01"', 'def PhysicsRevoluteJoint "r01"'))
+    else:
+        physics.write_text(text.replace(right, wrong, 1))
+    config = compose(["task=stand", "robot=physical", "env.num_envs=2", "env.sim.engine=physx"]).config
+    config["env"]["robot"]["asset"] = str(tmp_path / "wheelleg/wheelleg.usda")
+    mjcf = prepare_asset(compose(["task=stand", "robot=physical"]).config).output
+    wrongly = ManagerBasedRLEnv(config["env"], mjcf, 0)
+    assert worst(flight(build("mujoco")), flight(wrongly)) > 1.4
 
 
 def test_a_wheel_counts_its_turns():

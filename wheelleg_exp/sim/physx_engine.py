@@ -95,6 +95,7 @@ class PhysxEngine(BatchEngine):
         self._actuators = torch.tensor([moves[joint] for joint in ids if joint in moves], dtype=torch.long)
         driven = [joint for joint in ids if joint in moves]
         self._unlimited = torch.as_tensor(model.jnt_limited[driven] == 0)
+        self._of_usd = tuple(self._read(f"BODY_{name}") for name in ("MASS", "INERTIA", "COM_POSE"))
         solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
         shapes = [g for body in self._links.tolist() for g in np.flatnonzero(solid & (model.geom_bodyid == body))]
         self._shapes = torch.tensor(shapes, dtype=torch.long)
@@ -191,12 +192,25 @@ class PhysxEngine(BatchEngine):
         self._write("SHAPE_FRICTION_AND_RESTITUTION", torch.stack((sliding, sliding, 0.0 * sliding), dim=2))
         if "jnt_range" in self.expanded:
             self._write("DOF_LIMIT", self._field("jnt_range")[:, self._joints])
-        if _BODY_FIELDS & self.expanded.keys():  # Otherwise, the masses of the USD file remain.
-            self._write("BODY_MASS", self._field("body_mass")[:, self._links])
-            axes = self._field("body_iquat")[:, self._links][..., _XYZW]
-            self._write("BODY_COM_POSE", torch.cat((self._field("body_ipos")[:, self._links], axes), dim=2))
-            self._write("BODY_INERTIA", torch.diag_embed(self._field("body_inertia")[:, self._links]).flatten(2))
+        if _BODY_FIELDS & self.expanded.keys():
+            self._send_bodies()
         self._fields_changed = False
+
+    def _send_bodies(self) -> None:
+        """Change the masses of the USD file as events have changed those of the model."""
+        mass, inertia, centre = self._of_usd
+        now = {name: self._field(name)[:, self._links] for name in _BODY_FIELDS}
+        made = {name: self.constant(name)[self._links] for name in _BODY_FIELDS}
+        self._write("BODY_MASS", mass * now["body_mass"] / made["body_mass"])
+        ratio = now["body_inertia"] / made["body_inertia"]
+        is_even = (ratio - ratio[..., :1]).abs().amax(dim=2, keepdim=True) < 1e-9
+        is_even &= (now["body_iquat"] == made["body_iquat"]).all(dim=2, keepdim=True)
+        # If the principal moments change by different factors, MuJoCo's moments and axes replace those of the file.
+        own = torch.diag_embed(now["body_inertia"]).flatten(2)
+        self._write("BODY_INERTIA", torch.where(is_even, inertia * ratio[..., :1], own))
+        axes = torch.where(is_even, centre[..., 3:], now["body_iquat"][..., _XYZW])
+        moved = centre[..., :3] + now["body_ipos"] - made["body_ipos"]
+        self._write("BODY_COM_POSE", torch.cat((moved, axes), dim=2))
 
     def _send_states(self) -> None:
         # Only write the states that were changed since the last step, because PhysX's own states are more exact.
