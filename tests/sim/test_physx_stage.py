@@ -5,7 +5,7 @@ from pxr import Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.sim.physx_stage import ROBOTS, links_of, write_scene
+from wheelleg_exp.sim.physx.physx_stage import ROBOTS, links_of, write_scene
 
 USD = assets_dir() / "wheelleg/wheelleg.usda"
 GROUND = """<mujoco>

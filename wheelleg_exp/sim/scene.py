@@ -105,7 +105,7 @@ class Scene(Kept):
 
             self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
         elif options.engine == "physx":
-            from wheelleg_exp.sim.physx_engine import PhysxEngine
+            from wheelleg_exp.sim.physx.physx_engine import PhysxEngine
 
             robot_options = self.robot.options
             if robot_options.root_frame is not None:

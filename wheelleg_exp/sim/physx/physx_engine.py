@@ -22,7 +22,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.sim.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
+from wheelleg_exp.sim.physx.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
 from wheelleg_exp.sim.terrain import grid_origins, is_ground
 
 _XYZW, _WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]

@@ -1,0 +1,1 @@
+"""The physics engine ``physx``: NVIDIA PhysX moves the robots of a USD scene on the CPU, and MuJoCo mirrors them."""
