@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
+from wheelleg_exp.asset.conversion_cache import source_digest
 from wheelleg_exp.build import with_robot_file
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.find_mistakes import check_tree
@@ -40,7 +41,7 @@ from wheelleg_exp.evaluation.method_comparison import (
 from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
-from wheelleg_exp.files import for_people, sha256, write_json, write_text
+from wheelleg_exp.files import for_people, write_json, write_text
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_sources
 from wheelleg_exp.jobs.torch_threads import set_threads
@@ -84,16 +85,11 @@ def evaluation_settings(
         require_read(recorded, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
         tree["env"] = with_robot_file(tree["env"], composed.asset_roots)
         if tree["env"]["sim"]["engine"] == "physx":
-            usd = Path(tree["env"]["robot"]["asset"])
-            changed = [name for name, digest in saved_sources(run).items() if _digest(usd.parent / name) != digest]
-            if changed:
+            saved, present = saved_sources(run), source_digest(Path(tree["env"]["robot"]["asset"]))
+            if changed := [name for name, digest in present.items() if saved.get(name) != digest]:
                 message = f"{changed[0]} differs from the file that the run was trained with"
                 raise ConfigError(message, key="env.robot.asset", expected="the run's robot, or env.sim.engine=mujoco")
     return tree
-
-
-def _digest(path: Path) -> str | None:
-    return sha256(path) if path.is_file() else None
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:

@@ -64,7 +64,7 @@ class PhysxEngine(BatchEngine):
         self._connect()
         self._contacts = [self._contact_reader(sensor, links) for sensor in self._contact_sensors()]
         self._fields_changed = True
-        self._shown = torch.full_like(self._motion, torch.nan)
+        self._last_read = torch.full_like(self._motion, torch.nan)
         # On a plane, each robot starts near the origin of PhysX, where float32 positions are finest: at 60 m, they have
         # steps of 4 um, which make a policy's actions chatter. The robots may overlap there, but they never touch.
         ground = [geom for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
@@ -136,7 +136,7 @@ class PhysxEngine(BatchEngine):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         super().load_state_dict(saved)
         self._fields_changed = True
-        self._shown.fill_(torch.nan)
+        self._last_read.fill_(torch.nan)
 
     def step(self) -> None:
         if self._fields_changed:
@@ -214,12 +214,12 @@ class PhysxEngine(BatchEngine):
 
     def _send_states(self) -> None:
         # Only write the states that were changed since the last step, because PhysX's own states are more exact.
-        rows = (self._motion != self._shown).any(dim=1).nonzero().flatten()
+        rows = (self._motion != self._last_read).any(dim=1).nonzero().flatten()
         if not len(rows):
             return
         qpos, qvel = self.view("qpos"), self.view("qvel")
         if self._can_shift:
-            moved = (qpos[:, :2] != self._shown[:, :2]).any(dim=1, keepdim=True)
+            moved = (qpos[:, :2] != self._last_read[:, :2]).any(dim=1, keepdim=True)
             self._shift[:, :2] = torch.where(moved, qpos[:, :2] - self._start, self._shift[:, :2])
         self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, qpos[:, 3:7][:, _XYZW]), dim=1), rows)
         matrix = rotation.quat_to_matrix(qpos[:, 3:7])
@@ -278,7 +278,7 @@ class PhysxEngine(BatchEngine):
         before = qpos[:, self._places]
         qpos[:, self._places] = before + _wrapped(self._read("DOF_POSITION") - before)
         qvel[:, self._dofs] = self._read("DOF_VELOCITY")
-        self._shown.copy_(self._motion)
+        self._last_read.copy_(self._motion)
 
     def _contact_sensors(self) -> list[int]:
         model = self.model
