@@ -6,9 +6,11 @@ import re
 import pytest
 import torch
 from mdp.nodes import event
+from sim.small_envs import ASSETS
 
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_realism, without_realism
 from wheelleg_exp.sim.delay import DelayBuffer
 
@@ -153,3 +155,23 @@ def test_effort_limits_are_factors_on_the_configs_limits(make_env):
     places = [env.scene.model.actuator(name).id for name in env.scene.robot.joint_names]
     written = env.scene.sim.expanded["actuator_forcerange"][:, places, 1].float()
     torch.testing.assert_close(written, env.scene.robot.data.joint_effort_limits)
+
+
+def test_exact_robots_have_true_readings_and_the_models_body_and_prompt_robots_act_at_once():
+    words = ["env.realism.exact_share=0.5", "env.realism.actions.prompt_share=0.25", "env.num_envs=8"]
+    config = compose(["task=walk", "realism=full", "env.sim.nthread=1", *words]).config["env"]
+    env = ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
+    env.reset()
+    for _ in range(3):
+        seen = env.step(torch.randn(8, 6, generator=torch.Generator().manual_seed(1)))[0]["policy"]
+    split = env.observation_manager.split("policy", seen)
+    true = env.scene.robot.data.projected_gravity_b
+    assert (split["projected_gravity"][:, -3:] == true).all(dim=1).tolist() == [True] * 4 + [False] * 4
+    stiffness = env.scene.robot.data.joint_stiffness[:, 0]
+    assert (len(stiffness[:4].unique()), len(stiffness.unique())) == (1, 5)
+    delays = list(env.action_manager.delays.values())
+    assert delays[0].share.tolist() == [0.0] * 2 + [1.0] * 6
+    levels = env.curriculum_manager.get_term_cfg("action_delay_levels").func
+    levels.level.fill_(0.25)
+    levels(env, torch.tensor([], dtype=torch.long))
+    assert delays[1].share.tolist() == [0.0] * 2 + [0.5] * 6

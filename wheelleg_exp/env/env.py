@@ -13,7 +13,7 @@ from wheelleg_exp import managers
 from wheelleg_exp.env.env_attributes import EnvAttributes
 from wheelleg_exp.env.graph_capture import GraphCapture, captured_part, host_part
 from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
-from wheelleg_exp.env.realism import with_realism
+from wheelleg_exp.env.realism import with_realism, without_errors
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.async_queries import AsyncMaskQuery
 from wheelleg_exp.managers.non_finite import failures, note_observations, require_finite_observations
@@ -60,6 +60,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.cfg = Cfg(cfg)
         self.seed = seed
         self.num_envs: int = read_value(Env, cfg, "env", "num_envs")
+        self.exact_envs, self.prompt_envs = without_errors(cfg)
         require_memory(_BYTES_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")
         self.decimation: int = read_value(Env, cfg, "env", "decimation")
         sim = read_value(Env, cfg, "env", "sim")

@@ -26,6 +26,13 @@ def with_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     return with_action_delay(cfg, realism.actions)
 
 
+def without_errors(env_cfg: Mapping[str, Any]) -> tuple[int, int]:
+    """Return how many of the first robots have exact sensors and bodies, and how many have actions without delay."""
+    realism = read_section(Realism, env_cfg.get("realism") or {}, "env.realism")
+    shares = realism.exact_share, realism.actions.prompt_share
+    return int(shares[0] * env_cfg["num_envs"]), int(shares[1] * env_cfg["num_envs"])
+
+
 def without_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     """Return the config section ``env`` of the same task with ``realism=none``."""
     cfg, realism = {**env_cfg}, env_cfg.get("realism") or {}

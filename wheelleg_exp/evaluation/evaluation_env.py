@@ -40,6 +40,8 @@ def evaluation_cfg(
     ``ground`` selects flat ground or the task's own ground.
     """
     cfg = copy.deepcopy(dict(env_cfg if protocol.realism == "own" else without_realism(env_cfg)))
+    if cfg.get("realism"):  # An evaluation tests no robot without errors.
+        cfg["realism"]["exact_share"] = cfg["realism"]["actions"]["prompt_share"] = 0.0
     commands = cfg["commands"]
     if protocol.command not in commands:
         expected = "one of " + (", ".join(commands) or "(there are none)")

@@ -91,7 +91,10 @@ class ActionManager(ManagerBase):
             raise error
         self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
         self.prev_action = torch.zeros_like(self.action)
-        made = {n: made_delay(self._terms[n], f.processed_actions, env) for n, f in self._action_terms.items()}
+        made = {
+            name: made_delay(self._terms[name], term.processed_actions, env, env.prompt_envs)
+            for name, term in self._action_terms.items()
+        }
         self.delays = {name: delay for name, delay in made.items() if delay is not None}
         self._is_new = True
 

@@ -121,6 +121,10 @@ class EventManager(ManagerBase):
         return ran
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
+        exact = self._env.exact_envs
+        if exact and name in self._env.cfg.realism.events and term.fields["mode"] in ("startup", "reset"):
+            ids = torch.arange(self._num_envs, device=self._env.device) if ids is None else ids
+            ids = ids[ids >= exact]
         term(self._env, ids)
         self._env.scene.robot.data.invalidate()  # Clear cached robot data, because an event can change the robot.
         self._note_asked(name)

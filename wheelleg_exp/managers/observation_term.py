@@ -71,7 +71,7 @@ class ObservationTerm(Kept):
                 raise ConfigError(message, key=f"{term.path}.scale", expected=f"one number or {width}")
             scale = torch.tensor(scale, dtype=torch.float32, device=env.device)
         self._scale: torch.Tensor | float | None = scale
-        self.delay = made_delay(term, sample, env)
+        self.delay = made_delay(term, sample, env, env.exact_envs)
         for number, modifier in enumerate(self._modifiers):
             modifier.start(sample)
             made(modifier, f"{term.path}.modifiers[{number}]")
@@ -201,7 +201,8 @@ class ObservationTerm(Kept):
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
-            value = self._part("noise", self._noise, value, self._generator)
+            exact = value[: self._env.exact_envs]
+            value = torch.cat((exact, self._part("noise", self._noise, value, self._generator)[len(exact) :]))
         if self._clip is not None:
             value = value.clip(self._clip[0], self._clip[1])
         return value if self._scale is None else value * self._scale

@@ -119,12 +119,17 @@ class RowHistoryPart:
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 
 
-def made_delay(term: Term, sample: torch.Tensor, env: Env) -> DelayBuffer | None:
-    """Return the buffer that delays a term's samples (N, ...); None without ``delay`` and ``delay_jitter``."""
+def made_delay(term: Term, sample: torch.Tensor, env: Env, prompt: int) -> DelayBuffer | None:
+    """Return the buffer that delays a term's samples (N, ...); None without ``delay`` and ``delay_jitter``.
+
+    The samples of the first ``prompt`` environments are not delayed.
+    """
     low, high = term.fields.get("delay") or (0, 0)
     jitter = term.fields.get("delay_jitter") or 0
     if high + jitter == 0:
         return None
     key, count = f"{term.path}.delay", high + jitter + 1
     require_memory(4 * sample.numel() * count, key, f"{count} samples of {env.num_envs} environments")
-    return DelayBuffer(sample, (low, high), env.streams.get(key), jitter)
+    delay = DelayBuffer(sample, (low, high), env.streams.get(key), jitter)
+    delay.share[:prompt] = 0.0
+    return delay

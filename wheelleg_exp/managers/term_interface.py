@@ -31,6 +31,8 @@ class Env(Protocol):
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
         num_envs: number of environments, N.
+        exact_envs: number of the first environments, whose sensors and robots have no errors of ``env.realism``.
+        prompt_envs: number of the first environments, whose actions have no delay.
         physics_dt: physics step, s.
         step_dt: control step, s.
         max_episode_length_s: longest episode, s.
@@ -42,6 +44,8 @@ class Env(Protocol):
 
     cfg: Any
     num_envs: int
+    exact_envs: int
+    prompt_envs: int
     device: torch.device
     physics_dt: float
     step_dt: float

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from wheelleg_exp.constraints import Count, Natural, Node, NonNegative, NonNegativeInterval, Positive, rules_of
+from wheelleg_exp.constraints import Count, Natural, Node, NonNegative, NonNegativeInterval, Positive, Share, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.config_values import describe, options_in, value_errors
 from wheelleg_exp.terms.key_syntax import below
@@ -57,10 +57,12 @@ class ActionRealism:
     Attributes:
         delay_s: shortest and longest delay of the commands, s; each reset draws one delay for each environment.
         jitter_s: largest random addition to the delay, s; drawn in each physics step.
+        prompt_share: share of the robots whose actions are never late.
     """
 
     delay_s: NonNegativeInterval = (0.0, 0.0)
     jitter_s: NonNegative = 0.0
+    prompt_share: Share = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ class Realism:
         groups: the observation groups whose terms get the sensors' errors.
         sensors: the errors of observation terms, by the name of their function, such as ``joint_vel_rel``.
         actions: the delay of all actions.
+        exact_share: share of the robots whose sensors and bodies have no errors, so that a policy is precise on a good
+            robot too. Actions have their own share.
     """
 
     name: str = "none"
@@ -84,6 +88,7 @@ class Realism:
     groups: list[str] = field(default_factory=list)
     sensors: dict[str, SensorRealism] = field(default_factory=dict)
     actions: ActionRealism = ActionRealism()
+    exact_share: Share = 0.0
 
 
 @dataclass(frozen=True)
