@@ -351,6 +351,12 @@ _JUDGED = {
 }
 
 
+def judged_metrics(found: Sequence[Difference]) -> list[Difference]:
+    """Return the differences that decide whether two engines agree about the same policies."""
+    named = [(row.metric.rpartition("/")[2], row) for row in found if math.isfinite(row.first)]
+    return [row for name, row in named if name in _JUDGED or (name.startswith("limit_") and "°" in name)]
+
+
 def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     """Return a sentence that names the metrics in which two engines disagree about the same policies.
 
@@ -358,8 +364,7 @@ def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     changes of the actions count too. A difference counts if its confidence interval excludes 0, and if it exceeds
     0.02 of a share, or 10 % of the first engine's value.
     """
-    named = [(row.metric.rpartition("/")[2], row) for row in found if math.isfinite(row.first)]
-    judged = [row for name, row in named if name in _JUDGED or (name.startswith("limit_") and "°" in name)]
+    judged = judged_metrics(found)
     if not judged:
         return f"No metric can be compared between {first} and {second}."
     said = []
@@ -370,6 +375,7 @@ def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         if is_sure and not abs(change) <= limit:
             is_ratio = bool(row.unit) and row.first != 0.0
             text = f"{row.second / row.first:.3g} times" if is_ratio else f"{row.second:.3g}, not {row.first:.3g}"
+            text = "no value" if math.isnan(row.second) else text
             said.append(f"{row.metric} ({text})")
     if said:
         return f"{second} differs from {first} in {len(said)} of {len(judged)} metrics: {', '.join(said)}."

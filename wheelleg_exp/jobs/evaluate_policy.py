@@ -33,6 +33,7 @@ from wheelleg_exp.evaluation.method_comparison import (
     OverSeeds,
     differences,
     engine_verdict,
+    judged_metrics,
     over_seeds,
     plain,
     push_verdict,
@@ -385,6 +386,9 @@ def compare(
     with dated_folder(run.evaluation, "_comparison") as folder:
         write_json(folder / COMPARISON, content)
         results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
+        if engines:
+            values = {row.metric: [row.first, row.second, row.unit] for row in judged_metrics(found)}
+            results |= {"engines": list(engines), "metrics": plain(values)}
         run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
     return Compared(folder, seeds, found, said, pushed, content)
 

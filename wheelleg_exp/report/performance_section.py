@@ -297,10 +297,20 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
             for name, unit, policy, other in margins
         ]
         found.append(Table("Largest survived change", ("Change", "Policy", "Reference"), rows))
-    for compared in subject.additions("comparison")[-1:]:
-        verdict = compared["results"].get("verdict") if isinstance(compared.get("results"), Mapping) else None
-        found += [Text(verdict)] if verdict else []
+    compared = [entry["results"] for entry in subject.additions("comparison") if isinstance(entry["results"], Mapping)]
+    found += [Text(results["verdict"]) for results in compared[-1:] if results.get("verdict")]
+    found += [_engine_table(results) for results in {r.get("protocol"): r for r in compared if "engines" in r}.values()]
     return found if reference is not None else [*found, *_repeat_command(subject, str(content["protocol"]["name"]))]
+
+
+def _engine_table(results: Mapping[str, Any]) -> Table:
+    """Return the metrics of the same policies in two engines, from the results of a comparison."""
+    rows = [
+        [Cell(name), *(Cell(number(value), number=True) for value in values), Cell(unit)]
+        for name, (*values, unit) in results["metrics"].items()
+    ]
+    title = f"In two engines: {spoken(results['protocol'])}"
+    return Table(title, ("Metric", *results["engines"], "Unit"), rows)
 
 
 def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
@@ -315,8 +325,9 @@ def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_
     about = content.get("about") or {}
     text = (
         f"Protocol {content['protocol']['name']}, {moment(entry.get('when'))}, checkpoint {content.get('checkpoint')}, "
-        f"robot profile {about.get('profile')}; scenarios {str(content['scenarios_sha256'])[:12]}, the same for every "
-        "policy. Intervals of 95 % are over episodes, not over training seeds."
+        f"robot profile {about.get('profile')}, engine {about.get('engine')}; scenarios "
+        f"{str(content['scenarios_sha256'])[:12]}, the same for every policy. Intervals of 95 % are over episodes, not "
+        "over training seeds."
     )
     return f"{text} The reference is a linear-quadratic controller without noise or delay." if has_reference else text
 

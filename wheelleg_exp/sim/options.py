@@ -22,8 +22,9 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         if device != "cpu":
             message = f"the engine '{given['engine']}' runs on the CPU, not on {device!r}"
             yield Broken("device", message, "cpu, or engine: warp")
-        if given["engine"] == "physx" and find_spec("ovphysx") is None:
-            message = "the engine 'physx' needs the package ovphysx, which is not installed"
+        missing = [name for name in ("ovphysx", "physx_usd_schemas") if find_spec(name) is None]
+        if given["engine"] == "physx" and missing:
+            message = f"the engine 'physx' needs the package {missing[0]}, which is not installed"
             yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows")
         if given["engine"] == "physx" and given.get("deterministic"):
             message = "the engine 'physx' does not continue a restored state identically"

@@ -107,12 +107,8 @@ class Scene(Kept):
         elif options.engine == "physx":
             from wheelleg_exp.sim.physx.physx_engine import PhysxEngine
 
-            robot_options = self.robot.options
-            if robot_options.root_frame is not None:
-                message = "the engine 'physx' uses the root frame of the USD file, and this key turns it"
-                raise ConfigError(message, key="env.robot.root_frame", expected="null, or env.sim.engine=mujoco")
-            usd = find_asset(robot_options.asset, key="env.robot.asset").resolve()
-            self.sim = PhysxEngine(self.model, self.num_envs, options.nthread, usd, robot_options.self_collisions)
+            usd = find_asset(self.robot.options.asset, key="env.robot.asset").resolve()
+            self.sim = PhysxEngine(self.model, self.num_envs, options.nthread, usd, self.robot.options)
         else:
             self.sim = BatchEngine(self.model, self.num_envs, options.nthread)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)

@@ -22,6 +22,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.batch_engine import BatchEngine
+from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.physx.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
 from wheelleg_exp.sim.terrain import grid_origins, is_ground
 
@@ -46,22 +47,25 @@ class PhysxEngine(BatchEngine):
     name = "physx"
     exact = False
 
-    def __init__(
-        self, model: mujoco.MjModel, num_envs: int, nthread: int, usd: Path, self_collisions: bool | None
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int, usd: Path, robot: RobotOptions) -> None:
         self._sensordata = torch.zeros(num_envs, model.nsensordata, dtype=torch.float64)
         self._torque = torch.zeros(num_envs, model.nu, dtype=torch.float64)
         super().__init__(model, num_envs, nthread)
         root, links = links_of(usd)
         with tempfile.TemporaryDirectory(prefix="wheelleg_exp-") as folder:
             scene = Path(folder, "scene.usda")
-            write_scene(scene, usd, root, links, model, num_envs, self_collisions)
+            write_scene(scene, usd, root, links, model, num_envs, robot.self_collisions)
             self._physx, self._stage = open_scene(scene, self.nthread)
         from ovphysx.types import TensorType
 
         self._types, self._robots = TensorType, f"{ROBOTS}/env_*/{root}"
         self._bindings: dict[str, tuple[Any, torch.Tensor]] = {}
         self._connect()
+        # The orientation of MuJoCo's link frames in those of the USD file, which differ only for the root link.
+        self._frames = torch.zeros(len(self._links), 4, dtype=self.dtype)
+        self._frames[:, 0] = 1.0
+        if robot.root_frame is not None:
+            self._frames[0] = torch.nn.functional.normalize(torch.tensor(robot.root_frame, dtype=self.dtype), dim=0)
         self._contacts = [self._contact_reader(sensor, links) for sensor in self._contact_sensors()]
         self._fields_changed = True
         self._last_read = torch.full_like(self._motion, torch.nan)
@@ -208,8 +212,11 @@ class PhysxEngine(BatchEngine):
         # If the principal moments change by different factors, MuJoCo's moments and axes replace those of the file.
         own = torch.diag_embed(now["body_inertia"]).flatten(2)
         self._write("BODY_INERTIA", torch.where(is_even, inertia * ratio[..., :1], own))
-        axes = torch.where(is_even, centre[..., 3:], now["body_iquat"][..., _XYZW])
-        moved = centre[..., :3] + now["body_ipos"] - made["body_ipos"]
+        frames = self._frames.expand(self.num_envs, -1, -1).flatten(0, 1)
+        turned = rotation.quat_mul(frames, now["body_iquat"].flatten(0, 1)).view(self.num_envs, -1, 4)
+        axes = torch.where(is_even, centre[..., 3:], turned[..., _XYZW])
+        shift = (now["body_ipos"] - made["body_ipos"]).unsqueeze(3)
+        moved = centre[..., :3] + (rotation.quat_to_matrix(self._frames) @ shift).squeeze(3)
         self._write("BODY_COM_POSE", torch.cat((moved, axes), dim=2))
 
     def _send_states(self) -> None:
@@ -221,7 +228,9 @@ class PhysxEngine(BatchEngine):
         if self._can_shift:
             moved = (qpos[:, :2] != self._last_read[:, :2]).any(dim=1, keepdim=True)
             self._shift[:, :2] = torch.where(moved, qpos[:, :2] - self._start, self._shift[:, :2])
-        self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, qpos[:, 3:7][:, _XYZW]), dim=1), rows)
+        back = self._frames[0] * torch.tensor([1.0, -1.0, -1.0, -1.0])
+        quat = rotation.quat_mul(qpos[:, 3:7], back.expand(self.num_envs, 4))
+        self._write("ROOT_POSE", torch.cat((qpos[:, :3] - self._shift, quat[:, _XYZW]), dim=1), rows)
         matrix = rotation.quat_to_matrix(qpos[:, 3:7])
         spin = rotation.rotate(matrix, qvel[:, 3:6])
         self._write("ROOT_VELOCITY", torch.cat((qvel[:, :3] + self._lever(matrix, spin), spin), dim=1), rows)
@@ -270,6 +279,7 @@ class PhysxEngine(BatchEngine):
         qpos, qvel = self.view("qpos"), self.view("qvel")
         pose, velocity = self._read("ROOT_POSE"), self._read("ROOT_VELOCITY")
         quat = pose[:, 3:][:, _WXYZ]
+        quat = rotation.quat_mul(quat, self._frames[0].expand(self.num_envs, 4))
         quat /= torch.linalg.vector_norm(quat, dim=1, keepdim=True)
         matrix = rotation.quat_to_matrix(quat)
         qpos[:, :7] = torch.cat((pose[:, :3] + self._shift, quat), dim=1)
