@@ -187,8 +187,9 @@ def test_a_reset_has_a_recording_for_each_number_of_environments_that_occurs_oft
     assert sum(resets(env)._counts.values()) == 10
 
 
-def test_steps_and_resets_with_realism_are_captured():
-    plain, env = pair("walk", "realism=full")
+@pytest.mark.parametrize("words", [[], ["env.realism.exact_share=0.5", "env.realism.actions.prompt_share=0.25"]])
+def test_steps_and_resets_with_realism_are_captured(words):
+    plain, env = pair("walk", "realism=full", *words)
     for _ in range(4):
         for each in (plain, env):
             each._reset_idx(torch.arange(9))

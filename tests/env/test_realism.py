@@ -169,8 +169,11 @@ def test_exact_robots_have_true_readings_and_the_models_body_and_prompt_robots_a
     assert (split["projected_gravity"][:, -3:] == true).all(dim=1).tolist() == [True] * 4 + [False] * 4
     stiffness = env.scene.robot.data.joint_stiffness[:, 0]
     assert (len(stiffness[:4].unique()), len(stiffness.unique())) == (1, 5)
-    levels = env.curriculum_manager.get_term_cfg("action_delay_levels").func
-    levels.level.fill_(0.25)
-    levels(env, torch.tensor([], dtype=torch.long))
-    assert [delay.share.tolist() for delay in env.action_manager.delays.values()] == [[0.0] * 2 + [0.5] * 6] * 2
-    assert env.observation_manager.terms("policy")["base_ang_vel"].delay.share.tolist() == [0.0] * 4 + [1.0] * 4
+    delays = [*env.action_manager.delays.values(), env.observation_manager.terms("policy")["base_ang_vel"].delay]
+    for delay, prompt in zip(delays, (2, 2, 4), strict=True):
+        delay.share.fill_(1.0)
+        longest = torch.zeros(8)
+        for _ in range(50):
+            delay.reset(torch.arange(8))
+            longest = torch.maximum(longest, delay.lag)
+        assert (longest > 0).tolist() == [False] * prompt + [True] * (8 - prompt)

@@ -214,8 +214,9 @@ def test_changes_that_cannot_be_made_are_refused(override, key, word):
         read_section(Protocol, protocol("robust", override), "protocol")
 
 
-def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_keeps_it(task):
-    env = compose(["task=stand", "realism=full"]).config["env"]
+@pytest.mark.parametrize("variant", ["sensors", "full"])
+def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_keeps_it(variant):
+    env = compose(["task=stand", f"realism={variant}"]).config["env"]
     for realism, is_ideal in (("none", True), ("own", False)):
         options = read_section(Protocol, protocol("stand", f"protocol.realism={realism}"), "protocol")
         cfg = evaluation_cfg(env, options, 2, 1.0, "flat")

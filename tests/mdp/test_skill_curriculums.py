@@ -24,7 +24,7 @@ class World:
     """An environment of four robots whose commands and velocities a test sets."""
 
     def __init__(self) -> None:
-        self.num_envs, self.prompt_envs, self.device = N, 0, torch.device("cpu")
+        self.num_envs, self.device = N, torch.device("cpu")
         self.max_episode_length, self.step_dt, self.common_step_counter = LONGEST, 0.1, 0
         self.episode_length_buf = torch.zeros(N, dtype=torch.long)
         self.observers: list = []

@@ -48,11 +48,13 @@ def test_metrics_have_their_intervals_and_units(page, root):
 def test_the_same_policies_in_two_engines_are_a_table_per_protocol(page, root):
     run = make_run(root)
     add_evaluation(run)
-    results = {"protocol": "stand", "verdict": "physx differs.", "engines": ["mujoco", "physx"]}
+    results = {"protocol": "stand", "verdict": "physx differs.", "engines": ["mujoco", "physx"], "runs": 3}
+    for damaged in (None, {"engines": 1}, {"engines": ["a"], "metrics": {"x": 1}}):
+        run.manifest().add("comparison", [], damaged, command=["wheelleg"])
     for pitch in (0.2, 0.3):
         metrics = {"stand/survival": [1.0, 0.5, ""], "stand/pitch_std": [0.1, pitch, "rad"]}
         run.manifest().add("comparison", [], {**results, "metrics": metrics}, command=["wheelleg"])
     found = page(run).section("evaluation")
-    assert found.count("In two engines: stand") == 1
+    assert found.count("In two engines: stand, mean of 3 runs") == 1
     assert "Metric mujoco physx Unit stand/survival 1.00 0.500 stand/pitch_std 0.100 0.300 rad" in found
     assert "physx differs." in found

@@ -93,7 +93,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.termination_manager = managers.TerminationManager(cfg.get("terminations"), self)
         self.reward_manager = managers.RewardManager(cfg.get("rewards"), self)
         self.curriculum_manager = managers.CurriculumManager(cfg.get("curriculum"), self)
-        self.event_manager.apply("startup")
+        self.event_manager.apply(
+            "startup", with_errors=torch.arange(self.exact_envs, self.num_envs, device=self.device)
+        )
         self.reward_buf = torch.zeros(self.num_envs, device=self.device)
         self.reset_order = [
             *(self.observation_manager, self.action_manager, self.reward_manager, self.curriculum_manager),
@@ -280,7 +282,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # Run the curriculum first, because the curriculum needs the terminal state, which reset events overwrite.
         self._run_curriculum(env_ids)
         self.command_manager.read_settings()
-        self.extras["log"] = self._reset_rows(env_ids)
+        # Select the robots with errors outside of the CUDA graph, because their number varies.
+        self.extras["log"] = self._reset_rows(env_ids, env_ids[env_ids >= self.exact_envs] if self.exact_envs else None)
         self.extras["log_is_fresh"] = True
 
     @host_part
@@ -289,11 +292,14 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         return bool(self.curriculum_manager.active_terms)
 
     @captured_part()
-    def _reset_rows(self, env_ids: torch.Tensor) -> dict[str, Any]:
-        """Reset the simulations and the managers of ``env_ids``; return the log of the episodes that ended."""
+    def _reset_rows(self, env_ids: torch.Tensor, with_errors: torch.Tensor | None) -> dict[str, Any]:
+        """Reset the simulations and the managers of ``env_ids``; return the log of the episodes that ended.
+
+        If some robots are exact, ``with_errors`` are those of ``env_ids`` that have the errors of ``env.realism``.
+        """
         log: dict[str, Any] = {**self.scene.diagnostics(env_ids)}
         self.scene.reset(env_ids)
-        self.event_manager.apply("reset", env_ids, self.common_step_counter)
+        self.event_manager.apply("reset", env_ids, self.common_step_counter, with_errors)
         for manager in self.reset_order:
             log.update(manager.reset(env_ids))
         self.episode_length_buf.index_fill_(0, env_ids, 0)

@@ -29,8 +29,8 @@ def with_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
 def without_errors(env_cfg: Mapping[str, Any]) -> tuple[int, int]:
     """Return how many of the first robots have exact sensors and bodies, and how many have actions without delay."""
     realism = read_section(Realism, env_cfg.get("realism") or {}, "env.realism")
-    shares = realism.exact_share, realism.actions.prompt_share
-    return int(shares[0] * env_cfg["num_envs"]), int(shares[1] * env_cfg["num_envs"])
+    count = env_cfg["num_envs"]
+    return round(realism.exact_share * count), round(realism.actions.prompt_share * count)
 
 
 def without_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:

@@ -40,8 +40,9 @@ def evaluation_cfg(
     ``ground`` selects flat ground or the task's own ground.
     """
     cfg = copy.deepcopy(dict(env_cfg if protocol.realism == "own" else without_realism(env_cfg)))
-    if cfg.get("realism"):  # An evaluation tests no robot without errors.
-        cfg["realism"]["exact_share"] = cfg["realism"]["actions"]["prompt_share"] = 0.0
+    if realism := cfg.get("realism"):  # Every robot of an evaluation has errors, and late actions.
+        actions = {**(realism.get("actions") or {}), "prompt_share": 0.0}
+        cfg["realism"] = {**realism, "exact_share": 0.0, "actions": actions}
     commands = cfg["commands"]
     if protocol.command not in commands:
         expected = "one of " + (", ".join(commands) or "(there are none)")

@@ -373,9 +373,12 @@ def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
         limit = _SHARE if not row.unit else _RATIO * abs(row.first)
         is_sure = math.isnan(change) or row.interval.low > 0.0 or row.interval.high < 0.0
         if is_sure and not abs(change) <= limit:
-            is_ratio = bool(row.unit) and row.first != 0.0
-            text = f"{row.second / row.first:.3g} times" if is_ratio else f"{row.second:.3g}, not {row.first:.3g}"
-            text = "no value" if math.isnan(row.second) else text
+            if math.isnan(row.second):
+                text = "no value"
+            elif row.unit and row.first != 0.0:
+                text = f"{row.second / row.first:.3g} times"
+            else:
+                text = f"{row.second:.3g}, not {row.first:.3g}"
             said.append(f"{row.metric} ({text})")
     if said:
         return f"{second} differs from {first} in {len(said)} of {len(judged)} metrics: {', '.join(said)}."

@@ -388,7 +388,7 @@ def compare(
         results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
         if engines:
             values = {row.metric: [row.first, row.second, row.unit] for row in judged_metrics(found)}
-            results |= {"engines": list(engines), "metrics": plain(values)}
+            results |= {"engines": list(engines), "metrics": plain(values), "runs": len(runs)}
         run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
     return Compared(folder, seeds, found, said, pushed, content)
 

@@ -34,6 +34,7 @@ class EventManager(ManagerBase):
         self._last_step: dict[str, torch.Tensor] = {}
         self._fired_once: dict[str, torch.Tensor] = {}
         self.fired: dict[str, torch.Tensor] = {}
+        self._realistic = {*env.cfg.realism.events} if env.exact_envs else set()
         self._asked: dict[str, set[str]] = {name: set() for name in self._terms}
         for name, term in self._terms.items():
             mode = term.fields["mode"]
@@ -65,11 +66,18 @@ class EventManager(ManagerBase):
         """Modes of the terms."""
         return list(self._modes)
 
-    def apply(self, mode: str, env_ids: torch.Tensor | None = None, global_env_step_count: int | None = None) -> None:
+    def apply(
+        self,
+        mode: str,
+        env_ids: torch.Tensor | None = None,
+        global_env_step_count: int | None = None,
+        with_errors: torch.Tensor | None = None,
+    ) -> None:
         """Run the events of ``prestartup``, ``startup``, ``reset``, or a user-defined mode in some or all environments.
 
         Events of the mode ``reset`` need ``global_env_step_count``, the environment's number of control steps so far. A
-        user-defined event mode without event terms causes a warning.
+        user-defined event mode without event terms causes a warning. If some robots are exact, the events of
+        ``env.realism`` run only in the environments ``with_errors``.
         """
         if mode == "interval":
             message = "apply() cannot run events of the mode 'interval', which step() runs when their timers expire"
@@ -79,14 +87,14 @@ class EventManager(ManagerBase):
             hint = f"; did you mean '{nearest}'?" if nearest else ""
             warnings.warn(f"no event has the mode '{mode}'{hint}", stacklevel=2)
         for name, term in self._modes.get(mode, {}).items():
-            ids = env_ids
+            ids = env_ids if with_errors is None or name not in self._realistic else with_errors
             if mode == "reset":
                 if global_env_step_count is None:
                     raise ValueError("reset events need global_env_step_count")
-                everyone = torch.arange(self._num_envs, device=self._env.device) if env_ids is None else env_ids
+                everyone = torch.arange(self._num_envs, device=self._env.device) if ids is None else ids
                 ids = self._due(name, term, everyone, global_env_step_count)
-                if not len(ids):
-                    continue
+            if ids is not None and not len(ids):
+                continue
             if mode == "prestartup":  # ``prestartup`` events run before the simulation is built.
                 term(self._env, ids)
             else:
@@ -121,10 +129,6 @@ class EventManager(ManagerBase):
         return ran
 
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
-        exact = self._env.exact_envs
-        if exact and name in self._env.cfg.realism.events and term.fields["mode"] in ("startup", "reset"):
-            ids = torch.arange(self._num_envs, device=self._env.device) if ids is None else ids
-            ids = ids[ids >= exact]
         term(self._env, ids)
         self._env.scene.robot.data.invalidate()  # Clear cached robot data, because an event can change the robot.
         self._note_asked(name)

@@ -201,8 +201,9 @@ class ObservationTerm(Kept):
         for number, modifier in enumerate(self._modifiers):
             value = self._part(f"modifiers[{number}]", modifier, value)
         if draw and self._noise is not None:
-            exact = value[: self._env.exact_envs]
-            value = torch.cat((exact, self._part("noise", self._noise, value, self._generator)[len(exact) :]))
+            exact = value[: self._env.exact_envs].clone()  # A user-defined noise may change ``value`` in place.
+            value = self._part("noise", self._noise, value, self._generator)
+            value = torch.cat((exact, value[len(exact) :])) if len(exact) else value
         if self._clip is not None:
             value = value.clip(self._clip[0], self._clip[1])
         return value if self._scale is None else value * self._scale

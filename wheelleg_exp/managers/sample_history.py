@@ -130,6 +130,4 @@ def made_delay(term: Term, sample: torch.Tensor, env: Env, prompt: int) -> Delay
         return None
     key, count = f"{term.path}.delay", high + jitter + 1
     require_memory(4 * sample.numel() * count, key, f"{count} samples of {env.num_envs} environments")
-    delay = DelayBuffer(sample, (low, high), env.streams.get(key), jitter)
-    delay.share[:prompt] = 0.0
-    return delay
+    return DelayBuffer(sample, (low, high), env.streams.get(key), jitter, prompt)

@@ -31,8 +31,8 @@ class Env(Protocol):
     Attributes:
         cfg: the composed ``env`` section, by attribute or key.
         num_envs: number of environments, N.
-        exact_envs: number of the first environments, whose sensors and robots have no errors of ``env.realism``.
-        prompt_envs: number of the first environments, whose actions have no delay.
+        exact_envs: the environments 0 to ``exact_envs`` - 1 have none of the errors of ``env.realism``.
+        prompt_envs: the environments 0 to ``prompt_envs`` - 1 have no delay of the actions.
         physics_dt: physics step, s.
         step_dt: control step, s.
         max_episode_length_s: longest episode, s.

@@ -51,7 +51,7 @@ class action_delay_levels(TermBase):
         change = torch.where(env.termination_manager.time_outs[env_ids], 1.0, share - 1.0)
         self.level[env_ids] = (self.level[env_ids] + change / self._num_episodes).clamp(0.0, 1.0)
         for delay in env.action_manager.delays.values():
-            delay.share[env.prompt_envs :] = (2.0 * self.level[env.prompt_envs :]).clamp(max=1.0)
+            delay.share.copy_((2.0 * self.level).clamp(max=1.0))
         return self.level.mean()
 
 

@@ -297,20 +297,23 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
             for name, unit, policy, other in margins
         ]
         found.append(Table("Largest survived change", ("Change", "Policy", "Reference"), rows))
-    compared = [entry["results"] for entry in subject.additions("comparison") if isinstance(entry["results"], Mapping)]
-    found += [Text(results["verdict"]) for results in compared[-1:] if results.get("verdict")]
-    found += [_engine_table(results) for results in {r.get("protocol"): r for r in compared if "engines" in r}.values()]
+    compared = [r for entry in subject.additions("comparison") if isinstance(r := entry.get("results"), Mapping)]
+    in_engines = [r for r in compared if isinstance(r.get("engines"), list) and isinstance(r.get("metrics"), Mapping)]
+    found += [Text(str(r["verdict"])) for r in compared[-1:] if r.get("verdict") and r not in in_engines]
+    for results in {str(r.get("protocol")): r for r in in_engines}.values():
+        found += [_engine_table(results), Text(str(results.get("verdict")))]
     return found if reference is not None else [*found, *_repeat_command(subject, str(content["protocol"]["name"]))]
 
 
 def _engine_table(results: Mapping[str, Any]) -> Table:
     """Return the metrics of the same policies in two engines, from the results of a comparison."""
     rows = [
-        [Cell(name), *(Cell(number(value), number=True) for value in values), Cell(unit)]
-        for name, (*values, unit) in results["metrics"].items()
+        [Cell(name, code=True), *(Cell(number(value), number=True) for value in row[:2]), Cell(str(row[2]))]
+        for name, row in results["metrics"].items()
+        if isinstance(row, list) and len(row) == 3
     ]
-    title = f"In two engines: {spoken(results['protocol'])}"
-    return Table(title, ("Metric", *results["engines"], "Unit"), rows)
+    title = f"In two engines: {spoken(str(results.get('protocol')))}, mean of {number(results.get('runs'))} runs"
+    return Table(title, ("Metric", *map(str, results["engines"]), "Unit"), rows)
 
 
 def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
@@ -325,7 +328,7 @@ def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_
     about = content.get("about") or {}
     text = (
         f"Protocol {content['protocol']['name']}, {moment(entry.get('when'))}, checkpoint {content.get('checkpoint')}, "
-        f"robot profile {about.get('profile')}, engine {about.get('engine')}; scenarios "
+        f"robot profile {about.get('profile')}, engine {about.get('engine', 'mujoco')}; scenarios "
         f"{str(content['scenarios_sha256'])[:12]}, the same for every policy. Intervals of 95 % are over episodes, not "
         "over training seeds."
     )

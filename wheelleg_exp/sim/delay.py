@@ -19,7 +19,8 @@ class DelayBuffer:
     the first sample after a reset until ``lag`` later samples have been stored. Each reset draws an environment's lag
     uniformly from the range ``lags``; before the first reset, the lag is 0. With ``jitter``, each call of ``push`` adds
     a random number of 0 to ``jitter`` calls to the lag, but never returns an older sample than the call before. All
-    samples must have the shape and device of ``sample``, for example (N, 3) for N environments.
+    samples must have the shape and device of ``sample``, for example (N, 3) for N environments. The first ``prompt``
+    environments have no delay.
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).
@@ -27,11 +28,14 @@ class DelayBuffer:
             reads this tensor, so change its values in place.
     """
 
-    def __init__(self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0) -> None:
+    def __init__(
+        self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0, prompt: int = 0
+    ) -> None:
         self._range, self._generator, self._jitter = lags, generator, jitter
         self.share = torch.ones(len(sample), device=sample.device)
         self._samples = torch.zeros(len(sample), lags[1] + jitter + 1, *sample.shape[1:], device=sample.device)
         self._rows = torch.arange(len(sample), device=sample.device)
+        self._is_late = (self._rows >= prompt).long()
         self._is_first = torch.ones(len(sample), dtype=torch.bool, device=sample.device)
         self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
         self._last_lag = torch.zeros_like(self.lag)  # the lag of the sample that ``push`` last returned
@@ -44,7 +48,7 @@ class DelayBuffer:
         lag = self.lag
         if self._jitter:
             extra = torch.randint(0, self._jitter + 1, lag.shape, generator=self._generator, device=lag.device)
-            lag = torch.minimum(lag + (self.share * extra).round().long(), self._last_lag + 1)
+            lag = torch.minimum(lag + self._is_late * (self.share * extra).round().long(), self._last_lag + 1)
         self._last_lag.copy_(lag)
         return self._read(self._samples)
 
@@ -56,7 +60,7 @@ class DelayBuffer:
         """Drop the stored samples of the environments ``env_ids``, and draw new lags for them."""
         low, high, size = *self._range, (len(env_ids),)
         drawn = torch.randint(0, high - low + 1, size, generator=self._generator, device=self.lag.device)
-        self.lag[env_ids] = low + (self.share[env_ids] * drawn).round().long()
+        self.lag[env_ids] = self._is_late[env_ids] * (low + (self.share[env_ids] * drawn).round().long())
         self._last_lag[env_ids] = self.lag[env_ids]
         fill_rows(self._is_first, env_ids, True)
 

@@ -57,7 +57,7 @@ class ActionRealism:
     Attributes:
         delay_s: shortest and longest delay of the commands, s; each reset draws one delay for each environment.
         jitter_s: largest random addition to the delay, s; drawn in each physics step.
-        prompt_share: share of the robots whose actions are never late.
+        prompt_share: share of the robots, the first ones, whose actions are never late.
     """
 
     delay_s: NonNegativeInterval = (0.0, 0.0)
@@ -77,8 +77,8 @@ class Realism:
         groups: the observation groups whose terms get the sensors' errors.
         sensors: the errors of observation terms, by the name of their function, such as ``joint_vel_rel``.
         actions: the delay of all actions.
-        exact_share: share of the robots whose sensors and bodies have no errors, so that a policy is precise on a good
-            robot too. Actions have their own share.
+        exact_share: share of the robots, the first ones, without errors of sensors, drives, body, friction, and floor
+            slope. Kicks reach them too. Late actions have their own share.
     """
 
     name: str = "none"

@@ -44,6 +44,7 @@ _FIXED: dict[Keys, str] = {
     ("env", "decimation"): "all saved times count in its steps",
     **dict.fromkeys((("env", "sim"), ("env", "scene")), "it is part of the simulated model"),
     ("env", "robot"): "the saved state is that of the run's robot",
+    ("env", "realism"): "the saved state is that of robots with these errors",
     ("env", "actions"): "the networks were trained with these actions",
     **{("agent", key): _SHAPE for key in ("actor", "critic", "student", "teacher", "obs_groups")},
     ("agent", "teacher_checkpoint"): "the run learns from one teacher",

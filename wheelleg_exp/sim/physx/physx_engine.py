@@ -61,7 +61,7 @@ class PhysxEngine(BatchEngine):
         self._types, self._robots = TensorType, f"{ROBOTS}/env_*/{root}"
         self._bindings: dict[str, tuple[Any, torch.Tensor]] = {}
         self._connect()
-        # The orientation of MuJoCo's link frames in those of the USD file, which differ only for the root link.
+        # Orientations of MuJoCo's link frames in the USD file's, (w, x, y, z). Only the root link's frame can differ.
         self._frames = torch.zeros(len(self._links), 4, dtype=self.dtype)
         self._frames[:, 0] = 1.0
         if robot.root_frame is not None:
@@ -278,8 +278,7 @@ class PhysxEngine(BatchEngine):
     def _read_states(self) -> None:
         qpos, qvel = self.view("qpos"), self.view("qvel")
         pose, velocity = self._read("ROOT_POSE"), self._read("ROOT_VELOCITY")
-        quat = pose[:, 3:][:, _WXYZ]
-        quat = rotation.quat_mul(quat, self._frames[0].expand(self.num_envs, 4))
+        quat = rotation.quat_mul(pose[:, 3:][:, _WXYZ], self._frames[0].expand(self.num_envs, 4))
         quat /= torch.linalg.vector_norm(quat, dim=1, keepdim=True)
         matrix = rotation.quat_to_matrix(quat)
         qpos[:, :7] = torch.cat((pose[:, :3] + self._shift, quat), dim=1)
