@@ -312,7 +312,7 @@ def _engine_table(results: Mapping[str, Any]) -> Table:
         for name, row in results["metrics"].items()
         if isinstance(row, list) and len(row) == 3
     ]
-    title = f"In two engines: {spoken(str(results.get('protocol')))}, mean of {number(results.get('runs'))} runs"
+    title = f"In two engines: {spoken(str(results.get('protocol')))}, runs: {number(results.get('runs'))}"
     return Table(title, ("Metric", *map(str, results["engines"]), "Unit"), rows)
 
 

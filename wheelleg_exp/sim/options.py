@@ -22,8 +22,8 @@ def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
         if device != "cpu":
             message = f"the engine '{given['engine']}' runs on the CPU, not on {device!r}"
             yield Broken("device", message, "cpu, or engine: warp")
-        missing = [name for name in ("ovphysx", "physx_usd_schemas") if find_spec(name) is None]
-        if given["engine"] == "physx" and missing:
+        needed = ("ovphysx", "physx_usd_schemas") if given["engine"] == "physx" else ()
+        if missing := [name for name in needed if find_spec(name) is None]:
             message = f"the engine 'physx' needs the package {missing[0]}, which is not installed"
             yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows")
         if given["engine"] == "physx" and given.get("deterministic"):
