@@ -153,10 +153,11 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resu
     if name in ("RUN", "A", "B"):
         from wheelleg_exp.config.explaining import catalog
         from wheelleg_exp.run.run_directory import LATEST, PIPELINE_NAME, PIPELINES, run_folders
+        from wheelleg_exp.run.stock_policies import PREFIX, stock_names
 
         root = Path(given.get("root", ["runs"])[-1])
         found = [] if name == "RUN" else [entry.name for entry in catalog.tasks(folders)]
-        found += [LATEST, *(folder.name for folder in run_folders(root))]
+        found += [LATEST, *(PREFIX + name for name in stock_names()), *(folder.name for folder in run_folders(root))]
         if resumed:
             found += sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
         return found + _files(word)

@@ -22,7 +22,7 @@ REFERENCE = "reference"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
     text = "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
     text += "of the runs' parameters: env.sim.dt=0.002"
     parser.add_argument("overrides", nargs="*", metavar="RUN|OVERRIDE", help=text)

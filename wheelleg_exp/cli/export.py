@@ -19,7 +19,7 @@ _NEXT = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     text = "bundle: runs without this program (default); isaaclab: a run folder of Isaac Lab; "
     text += "leapp: for ros2_control runtimes, needs the package leapp"

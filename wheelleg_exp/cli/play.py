@@ -21,7 +21,7 @@ _PORT = 8080
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
     text = "changes for this play: env.num_envs=16, seed=7"
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")

@@ -96,8 +96,8 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 def require_resumable(state: Mapping[str, Any]) -> None:
     """Raise RunDirectoryError if a checkpoint lacks state that is needed to resume its training."""
     if state["format_version"] != FORMAT_VERSION:
-        message = f"the checkpoint has format version {state['format_version']}: it can be played, not resumed"
-        expected = f"version {FORMAT_VERSION}, which holds all that a training depends on"
+        message = "the checkpoint contains only networks: it can be played, but a training cannot be resumed from it"
+        expected = f"a checkpoint of format version {FORMAT_VERSION}; or a new training with init_from=RUN"
         raise RunDirectoryError(message, expected=expected)
 
 

@@ -95,7 +95,7 @@ _MANIFEST = {
     "resumes": [_RESUME],
     "additions": [{"kind": Optional(str), "when": str, "files": _FILES, "results": Optional(_RESULTS)}],
     "files": _FILES,
-    **dict.fromkeys(("id", "working_directory", "recording_unfinished", "replay_of"), Optional(str)),
+    **dict.fromkeys(("id", "working_directory", "recording_unfinished", "replay_of", "stock"), Optional(str)),
     **dict.fromkeys(("command", "config_dirs"), Optional([str])),
     **dict.fromkeys(("source", "engine", "replay"), Optional(dict)),
     "seeds": Optional(list),

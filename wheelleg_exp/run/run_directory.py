@@ -17,6 +17,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.files import for_people, read_json
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
+from wheelleg_exp.run.stock_policies import FOLDER, PREFIX, stock_names, stock_run
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 # The task name and ``run.name`` must match ``NAME``, because a run directory's path contains both.
@@ -66,7 +67,7 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
 
 LATEST, AGENTS, SWEEPS = "latest", "agents", "sweeps"
 REPLAYS, PIPELINES = "replays", "pipelines"
-_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST)
+_NOT_TASKS = (AGENTS, SWEEPS, REPLAYS, PIPELINES, LATEST, FOLDER)
 
 FAILURE = "failure.npz"  # The file with the simulation state that made a training fail.
 CHECKPOINT = re.compile(r"model_(\d+)\.pt")
@@ -123,6 +124,8 @@ class RunDirectory(os.PathLike[str]):
     @classmethod
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
+
+        ``stock:NAME`` is the run directory of a policy that ships with ``wheelleg_exp`` (``stock_run``).
 
         Links, pipes, and devices in the run directory raise RunDirectoryError unless ``odd`` is true. A caller that
         passes ``odd=True`` must report links, pipes, and devices itself, and must not open them.
@@ -235,12 +238,14 @@ def task_folders(root: Path) -> list[Path]:
 
 
 def _found(run: str | Path, root: Path) -> Path:
+    if str(run).startswith(PREFIX):
+        return stock_run(str(run).removeprefix(PREFIX), root)
     if str(run) == LATEST:
         folders = run_folders(root)
         if not folders:
             raise RunDirectoryError(f"there is no run below '{root}'", expected="a training that was started")
         return max(folders, key=lambda folder: (start_moment(folder), folder.name))
-    for candidate in (Path(run), root / run):
+    for candidate in (Path(run), root / run, root / FOLDER / run):
         if (candidate / MANIFEST_NAME).is_file():
             return candidate
     folders = run_folders(root)
@@ -254,7 +259,8 @@ def _found(run: str | Path, root: Path) -> Path:
 
 
 def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
-    expected = f"a path, an id below '{root}', or '{LATEST}'"
+    shipped = [PREFIX + name for name in stock_names()]
+    expected = ", ".join(["a path", f"an id below '{root}'", f"'{LATEST}'", *shipped])
     for place in (Path(run), root / run, root / PIPELINES / run):
         if pipeline := pipeline_error(place):
             return pipeline
@@ -263,7 +269,9 @@ def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
             message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"
             return RunDirectoryError(message, expected=expected, nearest=str(holder) if holder else None)
     names = [name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}")]
-    return RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest_name(run, [LATEST, *names]))
+    return RunDirectoryError(
+        f"there is no run '{run}'", expected=expected, nearest=nearest_name(run, [LATEST, *shipped, *names])
+    )
 
 
 def _require_name(name: str, key: str) -> None:

@@ -44,6 +44,11 @@ class Subject:
         """True if the run has completely written its config, source code, and robot files."""
         return bool(self.data.get("source")) or self.has_ended
 
+    @property
+    def is_shipped(self) -> bool:
+        """True for a policy that ships with ``wheelleg_exp``: it has no log and no source of its training."""
+        return self.data.get("stock") is not None
+
 
 def read_subject(run: RunDirectory) -> Subject:
     """Read the manifest, the status, and the iteration log of a run."""
@@ -193,7 +198,7 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
 
 def _never_recorded(subject: Subject) -> list[str]:
     """Return the files that the manifest does not list although every run with the same settings writes them."""
-    if not subject.has_snapshot:
+    if not subject.has_snapshot or subject.is_shipped:
         return []
     expected = [*NEEDED, "environment.txt", f"source/{RECORD_NAME}"]
     if subject.status == "finished":

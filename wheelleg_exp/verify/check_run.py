@@ -265,6 +265,8 @@ def verify_run(run: RunDirectory) -> RunFindings:
 def _guarded(check: Callable[[Subject], Check], subject: Subject) -> Check:
     """Run one check. If a check cannot read a file, the check fails, and the remaining checks of the run continue."""
     try:
+        if subject.is_shipped and check in (source, iterations, checkpoints):
+            return Check(check.__name__, "", skipped="a policy that ships with wheelleg_exp has no log and no source")
         return check(subject)
     except RunDirectoryError as error:
         return Check(check.__name__, "", [str(error)])

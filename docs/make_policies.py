@@ -1,0 +1,90 @@
+"""Make ``assets/policies/NAME.zip`` from a run: ``python docs/make_policies.py NAME RUN``.
+
+The zip file contains the networks of the run's last checkpoint, the config, the robot, and the evaluations of these
+networks. To ship evaluations, make the zip file, evaluate ``stock:NAME``, and make the zip file again from the run
+directory in ``runs/stock``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from wheelleg_exp.files import dump_json, read_yaml, sha256, write_bytes, write_text, write_yaml
+from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME, inventory, record_files
+from wheelleg_exp.run.manifest import text_with_digest
+from wheelleg_exp.run.run_directory import RunDirectory, checkpoint_iteration
+from wheelleg_exp.run.stock_policies import SUMS
+
+_COPIED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", ".hydra/overrides.yaml", "environment.txt")
+_ROBOT = ("asset/asset.json", "asset/robot.xml", "asset/report.json")
+# Facts about folders and processes of the training, which mean nothing on another machine.
+_LOCAL = ("working_directory", "process", "environment_variables", "sha256")
+_LOCAL_WORDS = ("run.root=", "run.name=", "recording.enabled=")
+
+
+def slim(name: str, run: RunDirectory, folder: Path) -> None:
+    """Write a small run directory into ``folder``, with everything that a play needs."""
+    for file in (*_COPIED, *_ROBOT):
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        write_text(folder / file, _without_folders((run.path / file).read_text()))
+    config = read_yaml(folder / ".hydra/config.yaml")
+    config["run"].update(root="runs", name=None)
+    write_yaml(folder / ".hydra/config.yaml", config)
+    write_yaml(folder / ".hydra/overrides.yaml", _words(read_yaml(folder / ".hydra/overrides.yaml")))
+    choices = read_yaml(run.path / ".hydra/hydra.yaml")["hydra"]["runtime"]["choices"]
+    write_yaml(folder / ".hydra/hydra.yaml", {"hydra": {"runtime": {"choices": choices}}})
+    last = run.latest_checkpoint()
+    state = checkpoint.load(last)
+    networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": state["critic_state_dict"]}
+    small = {"format_version": 1, "iter": checkpoint_iteration(last), **networks}
+    write_bytes(folder / last.name, checkpoint.serialize(small))
+    data = {key: value for key, value in run.manifest().data.items() if key not in _LOCAL}
+    data.update(command=_words(data["command"]), files=inventory(folder), resumes=[], stock=name)
+    data["source"] = {key: value for key, value in data["source"].items() if key != "root"}
+    digest = sha256(folder / last.name)
+    evaluations = [entry for entry in data["additions"] if entry["kind"] == "evaluation"]
+    newest = {e["results"]["protocol"]: e for e in evaluations if e["results"]["checkpoint_sha256"] == digest}
+    data["additions"] = [_evaluation(run, entry, folder) for entry in newest.values()]
+    write_text(folder / MANIFEST_NAME, text_with_digest(json.loads(_without_folders(dump_json(data)))))
+
+
+def _without_folders(text: str) -> str:
+    """Make the paths of runs relative, and remove the comments, which contain the variables of a machine."""
+    return re.sub(r"/[\w./-]*/runs/", "runs/", re.sub(r"(?m)^#.*\n", "", text))
+
+
+def _words(words: list[str]) -> list[str]:
+    return [word for word in words if not word.startswith(_LOCAL_WORDS)]
+
+
+def _evaluation(run: RunDirectory, entry: dict[str, Any], folder: Path) -> dict[str, Any]:
+    [name] = (name for name in entry["files"] if name.endswith("evaluation.json"))
+    (folder / name).parent.mkdir(parents=True)
+    shutil.copyfile(run.path / name, folder / name)
+    return {**entry, "command": _words(entry["command"]), "files": record_files(folder, [folder / name])}
+
+
+def main(name: str, run: str) -> None:
+    """Write the zip file, and the digests of all zip files."""
+    target = assets_dir() / "policies" / f"{name}.zip"
+    target.parent.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        slim(name, RunDirectory.open(run, "runs"), Path(folder))
+        for path in sorted(path for path in Path(folder).rglob("*") if path.is_file()):
+            entry = zipfile.ZipInfo(path.relative_to(folder).as_posix())  # with a fixed date
+            archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
+    sums = [f"{sha256(path)}  {path.name}\n" for path in sorted(target.parent.glob("*.zip"))]
+    write_text(target.with_name(SUMS), "".join(sums))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

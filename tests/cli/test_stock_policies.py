@@ -1,0 +1,123 @@
+import hashlib
+import json
+import re
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+from jobs.small import wheelleg
+from refused import refusal
+
+from wheelleg_exp.files import sha256
+from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.run import stock_policies
+from wheelleg_exp.run.run_directory import RunDirectory
+
+NAMES = stock_policies.stock_names()
+QUICK = ["recording.enabled=false", "--json"]
+
+
+@pytest.fixture
+def copied_policies(own_folders, tmp_path, monkeypatch):
+    """Make ``assets_dir`` return a copy of the shipped policies, which a test may change."""
+    shutil.copytree(assets_dir() / "policies", tmp_path / "assets" / "policies")
+    monkeypatch.setattr(stock_policies, "assets_dir", lambda: tmp_path / "assets")
+    return tmp_path / "assets" / "policies"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_policy_keeps_eight_robots_on_their_wheels(own_folders, name):
+    said = wheelleg("play", f"stock:{name}", "env.num_envs=8", *QUICK)
+    assert said.status == 0, said.err
+    played = json.loads(said.out)
+    # Without a policy, the robot falls within 0.5 s.
+    assert played["figures"]["survival"] == 1.0
+    assert played["figures"]["height_rmse_m"] < 0.002
+    verified = wheelleg("verify", f"stock:{name}")
+    assert (verified.status, "sound: " in verified.out) == (0, True), verified.out
+    # A wheelleg command accepts the printed folder name, too.
+    assert RunDirectory.open(Path(played["run"]).name, Path("runs")).path == Path(played["run"])
+
+
+def test_a_shipped_policy_is_unpacked_once_and_is_not_a_run_of_the_user(own_folders):
+    first, second = (json.loads(wheelleg("play", "stock:walk", "env.num_envs=1", *QUICK).out) for _ in range(2))
+    assert first["run"] == second["run"]
+    assert len(list(Path(first["run"], "play").iterdir())) == 2
+    assert "walk" not in wheelleg("list", "runs").out
+    assert "no run" in refusal("play", "latest")
+
+
+def test_a_shipped_policy_starts_a_training_and_is_not_resumed(own_folders):
+    words = ["task=walk", "robot=physical", "init_from=stock:walk", "env.num_envs=2", "agent.max_iterations=1"]
+    words += ["agent.actor.obs_normalization=false", "agent.critic.obs_normalization=false"]
+    words += ["agent.algorithm.schedule=fixed", "agent.algorithm.learning_rate=1e-12", "recording.enabled=false"]
+    said = wheelleg("train", *words)
+    assert said.status == 0, said.err
+    trained = torch.load(RunDirectory.open("latest", "runs").latest_checkpoint(), weights_only=True)
+    stock = torch.load(RunDirectory.open("stock:walk", "runs").latest_checkpoint(), weights_only=True)
+    weights = [state["actor_state_dict"]["mlp.0.weight"] for state in (trained, stock)]
+    assert torch.allclose(*weights, atol=1e-6)
+    resumed = wheelleg("resume", "stock:walk", "agent.max_iterations=900")
+    assert (resumed.status, "a training cannot be resumed from it" in resumed.err) == (2, True), resumed.err
+    assert RunDirectory.open("stock:walk", "runs").manifest().status == "finished"
+
+
+def test_a_changed_file_is_refused_and_not_unpacked(copied_policies):
+    packed = copied_policies / "walk.zip"
+    packed.write_bytes(packed.read_bytes()[:-1] + b"!")
+    assert "walk.zip: the file is damaged" in refusal("play", "stock:walk")
+    assert not Path("runs", "stock").exists()
+
+
+@pytest.mark.parametrize("what", ["changed", "deleted"])
+def test_a_damaged_run_directory_is_refused_and_unpacked_again_after_its_removal(own_folders, what):
+    run = RunDirectory.open("stock:walk", Path("runs"))
+    path = run.path / "params" / "agent.yaml"
+    path.write_text(path.read_text() + "#") if what == "changed" else path.unlink()
+    assert "delete 'runs/stock/walk_" in refusal("play", "stock:walk")
+    shutil.rmtree(run.path)
+    assert RunDirectory.open("stock:walk", Path("runs")).path == run.path
+
+
+def test_two_processes_unpack_a_policy_at_the_same_time(own_folders, monkeypatch):
+    folder = stock_policies.temporary_folder
+
+    @contextmanager
+    def later(target):
+        with folder(target) as made:
+            if not target.exists():
+                monkeypatch.setattr(stock_policies, "temporary_folder", folder)
+                stock_policies.stock_run("walk", Path("runs"))  # The other process is faster.
+            yield made
+
+    monkeypatch.setattr(stock_policies, "temporary_folder", later)
+    run = RunDirectory.open("stock:walk", Path("runs"))
+    assert run.latest_checkpoint().is_file()
+    assert [path.name for path in run.path.parent.iterdir()] == [run.id]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_evaluations_are_of_the_shipped_networks_and_no_file_names_a_folder_of_the_training(own_folders, name):
+    run = RunDirectory.open(f"stock:{name}", Path("runs"))
+    evaluations = run.manifest().data["additions"]
+    assert {made["results"]["checkpoint_sha256"] for made in evaluations} == {sha256(run.latest_checkpoint())}
+    texts = [path for path in run.path.rglob("*") if path.suffix in (".json", ".yaml", ".txt") and path.is_file()]
+    for path in texts:
+        # Only the paths of USD prims start with a slash.
+        found = re.findall(r"(?<![\w.>+-])/(?!wheelleg/|wheelleg\b)[a-z][\w./-]*", path.read_text())
+        assert not found, path
+
+
+def test_an_unknown_name_names_the_shipped_policies(own_folders):
+    message = refusal("play", "stock:wlak")
+    assert all(f"stock:{name}" in message for name in NAMES)
+    assert "did you mean 'stock:walk'?" in message
+
+
+def test_the_digests_are_those_of_the_files_and_the_files_are_small():
+    folder = assets_dir() / "policies"
+    lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in sorted(folder.glob("*.zip"))]
+    assert (folder / stock_policies.SUMS).read_text().splitlines() == lines
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 15e6

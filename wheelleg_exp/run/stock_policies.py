@@ -1,0 +1,60 @@
+"""Trained policies that ship with ``wheelleg_exp``: one zip file each, in ``assets/policies``.
+
+The name ``stock:walk`` stands for the policy in ``walk.zip``. Its first use unpacks the file to a run directory below
+``<root>/stock``. The run directory lacks the log, the source, and the optimiser of the training, so it can be played,
+evaluated, and exported, but not resumed or replayed.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+from wheelleg_exp.errors import RunDirectoryError, nearest_name
+from wheelleg_exp.files import for_people, read_text, sha256, sync_folder, temporary_folder
+from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+
+PREFIX, FOLDER, SUMS = "stock:", "stock", "SHA256SUMS"
+
+
+def stock_names() -> list[str]:
+    """Return the names of the policies that ship with ``wheelleg_exp``, such as ``walk``."""
+    return sorted(path.stem for path in (assets_dir() / "policies").glob("*.zip"))
+
+
+def stock_run(name: str, root: Path) -> Path:
+    """Return the run directory of a policy that ships with ``wheelleg_exp``, below ``<root>/stock``.
+
+    If the run directory does not exist, ``stock_run`` unpacks the policy's zip file. RunDirectoryError is raised for an
+    unknown name, for a zip file that does not match its SHA-256, and for a run directory whose files were changed.
+    """
+    known = [PREFIX + other for other in stock_names()]
+    if PREFIX + name not in known:
+        message, nearest = f"no policy '{PREFIX}{name}' ships with wheelleg_exp", nearest_name(PREFIX + name, known)
+        raise RunDirectoryError(message, expected="one of " + ", ".join(known), nearest=nearest)
+    packed = assets_dir() / "policies" / f"{name}.zip"
+    digest = sha256(packed)
+    if f"{digest}  {packed.name}" not in read_text(packed.with_name(SUMS)).splitlines():
+        expected = f"its SHA-256 in {SUMS}; install wheelleg_exp again"
+        raise RunDirectoryError("the file is damaged", key=str(packed), expected=expected)
+    # The digest in the folder's name separates the policies of different versions of ``wheelleg_exp``.
+    target = root / FOLDER / f"{name}_{digest[:8]}"
+    with zipfile.ZipFile(packed) as archive:
+        if not target.exists():
+            with for_people(target), temporary_folder(target) as folder:
+                archive.extractall(folder)
+                try:
+                    folder.rename(target)
+                except OSError:
+                    if not target.is_dir():  # Another process can unpack the same policy at the same time.
+                        raise
+                sync_folder(target.parent)
+        for entry in archive.namelist():
+            path = target / entry
+            # Commands such as ``wheelleg play`` add entries to the manifest.
+            if not path.is_file() or (entry != MANIFEST_NAME and path.read_bytes() != archive.read(entry)):
+                message = f"the file differs from the policy '{PREFIX}{name}', which was unpacked to '{target}'"
+                expected = f"an unchanged file; delete '{target}' to have it unpacked again"
+                raise RunDirectoryError(message, key=str(path), expected=expected)
+    return target
