@@ -136,6 +136,69 @@ def test_the_ground_carries_the_weight():
     assert torch.allclose(torch.stack(lifted[-60:]).mean(dim=0), weight, rtol=0.01)
 
 
+def _box(half, height):
+    """Return USD text of a mesh: a box with square base, at a height."""
+    points = [(x, y, z) for x in (-half, half) for y in (-half, half) for z in (height - half, height + half)]
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    indices = ", ".join(str(i) for face in faces for i in face)
+    return f"""def Mesh "mesh"
+    {{
+        int[] faceVertexCounts = [4, 4, 4, 4, 4, 4]
+        int[] faceVertexIndices = [{indices}]
+        point3f[] points = {points}
+        uniform token subdivisionScheme = "none"
+    }}"""
+
+
+# As the URDF importer of Isaac Sim writes it: the collider is a group, which contains the mesh, in an instance.
+WITH_GROUP = f"""#usda 1.0
+(
+    defaultPrim = "wheelleg"
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "collisions"
+{{
+    def Xform "group" (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"])
+    {{
+        uniform token physics:approximation = "convexHull"
+    {_box(0.03, 0.1)}
+    }}
+}}
+def Xform "wheelleg" (references = @wheelleg/wheelleg.usda@)
+{{
+    over "wl2"
+    {{
+        over "base_link"
+        {{
+            over "collisions" (prepend references = </collisions>)
+            {{
+            }}
+        }}
+    }}
+}}
+"""
+
+
+def test_a_robot_rests_on_a_collider_that_is_a_group_in_an_instance(tmp_path):
+    shutil.copytree(assets_dir() / "wheelleg", tmp_path / "wheelleg")
+    (tmp_path / "robot.usda").write_text(WITH_GROUP)
+    heights = []
+    for engine in ("mujoco", "physx"):
+        words = ["task=stand", "robot=physical", "env.num_envs=1", f"env.sim.engine={engine}"]
+        words += [f"env.robot.asset={tmp_path / 'robot.usda'}"]
+        env = build_env(compose(words).config)
+        robot = env.scene.robot
+        state = robot.data.default_root_state.clone()
+        state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.14])
+        state[:, 3:7] = torch.tensor([[0.0, 1.0, 0.0, 0.0]])  # upside down: it falls by 1 cm
+        robot.write_root_state_to_sim(state)
+        env.scene.refresh()
+        advance(env, 60)
+        heights.append(robot.data.root_pos_w[0, 2].item())
+    assert heights == pytest.approx([0.13, 0.13], abs=0.002)
+
+
 def test_gravity_mass_and_force_of_an_environment_act_in_physx():
     env = build("physx", num_envs=4)
     flying(env)

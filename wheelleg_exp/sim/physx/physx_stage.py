@@ -113,7 +113,7 @@ def write_scene(
     The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the setting of the
     USD file; None leaves it unchanged.
     """
-    overs = _overs(links.values(), root, self_collisions)
+    overs = _overs(links.values(), root, self_collisions, _instances(usd))
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
     ground = [_ground_prim(model, geom) for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
     size = float(np.linalg.norm(model.opt.gravity))
@@ -127,10 +127,23 @@ def write_scene(
     path.write_text(text, encoding="utf-8")
 
 
-def _overs(paths: Iterable[str], root: str, self_collisions: bool | None) -> str:
-    """Return USD text that makes all links report their contacts, and that sets self-collisions at the root."""
+def _instances(usd: Path) -> set[str]:
+    """Return the paths of the instances in a USD file, from its default prim."""
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(usd))
+    top = stage.GetDefaultPrim()
+    prims = (prim for prim in Usd.PrimRange(top, Usd.TraverseInstanceProxies()) if prim.IsInstance())
+    return {str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims}
+
+
+def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instances: set[str]) -> str:
+    """Return USD text that makes all links report their contacts, and that sets self-collisions at the root.
+
+    ``instances`` become ordinary prims, because PhysX ignores a collider in an instance that is a group of meshes.
+    """
     children: dict[str, list[str]] = {}
-    for path in paths:
+    for path in (*paths, *instances):
         children.setdefault(path, [])
         for parent in (str(p) for p in Path(path).parents):
             if path not in children.setdefault(parent, []):
@@ -145,7 +158,9 @@ def _overs(paths: Iterable[str], root: str, self_collisions: bool | None) -> str
         if path == root and self_collisions is not None:
             apis.append("PhysxArticulationAPI")
             values.append(f"bool physxArticulation:enabledSelfCollisions = {int(self_collisions)}")
-        listed = f"(prepend apiSchemas = {json.dumps(apis)})" if apis else ""
+        facts = [f"prepend apiSchemas = {json.dumps(apis)}"] if apis else []
+        facts += ["instanceable = false"] if path in instances else []
+        listed = f"({'; '.join(facts)})" if facts else ""
         inner = "\n".join([*values, *(text(child) for child in children[path])])
         return f'over "{Path(path).name}" {listed}\n{{\n{inner}\n}}'
 
