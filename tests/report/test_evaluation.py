@@ -56,5 +56,5 @@ def test_the_same_policies_in_two_engines_are_a_table_per_protocol(page, root):
         run.manifest().add("comparison", [], {**results, "metrics": metrics}, command=["wheelleg"])
     found = page(run).section("evaluation")
     assert found.count("In two engines: stand, runs: 3") == 1
-    assert "Metric mujoco physx Unit stand/survival 1.00 0.500 stand/pitch_std 0.100 0.300 rad" in found
+    assert "Metric mujoco physx Unit stand/survival 1.00 0.500 stand/pitch_std 5.73 17.2 °" in found
     assert "physx differs." in found

@@ -307,11 +307,12 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
 
 def _engine_table(results: Mapping[str, Any]) -> Table:
     """Return the metrics of the same policies in two engines, from the results of a comparison."""
-    rows = [
-        [Cell(name, code=True), *(Cell(number(value), number=True) for value in row[:2]), Cell(str(row[2]))]
-        for name, row in results["metrics"].items()
-        if isinstance(row, list) and len(row) == 3
-    ]
+    rows = []
+    for name, row in results["metrics"].items():
+        if isinstance(row, list) and len(row) == 3:
+            factor, unit = _in_degrees(str(row[2]))
+            values = (Cell(_scaled_figure(value, factor), number=True) for value in row[:2])
+            rows.append([Cell(name, code=True), *values, Cell(unit)])
     title = f"In two engines: {spoken(str(results.get('protocol')))}, runs: {number(results.get('runs'))}"
     return Table(title, ("Metric", *map(str, results["engines"]), "Unit"), rows)
 
@@ -341,15 +342,18 @@ def _table(title: str, metrics: Mapping[str, Any], reference: Mapping[str, Any] 
 
 
 def _row(name: str, figure: Mapping[str, Any], reference: Mapping[str, Any] | None) -> list[Cell]:
-    unit = str(figure.get("unit") or "")
-    factor = 180.0 / math.pi if unit in _DEGREES else 1.0
-    unit = _DEGREES.get(unit, unit)
+    factor, unit = _in_degrees(str(figure.get("unit") or ""))
     ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
     value = _scaled_figure(figure.get("value"), factor)
     shown = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
     interval = Cell("–" if "–" in ends else " to ".join(ends), number=True)
     cells = [Cell(capital(spoken(name.partition("/")[2]))), Cell(shown, number=True), interval]
     return cells if reference is None else [*cells, Cell(_scaled_figure(reference.get(name), factor), number=True)]
+
+
+def _in_degrees(unit: str) -> tuple[float, str]:
+    """Return the factor and the unit with which the report shows a metric: angles are in degrees."""
+    return (180.0 / math.pi, _DEGREES[unit]) if unit in _DEGREES else (1.0, unit)
 
 
 def _scaled_figure(value: Any, factor: float) -> str:
