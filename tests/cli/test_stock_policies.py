@@ -81,6 +81,15 @@ def test_a_damaged_run_directory_is_refused_and_unpacked_again_after_its_removal
     assert RunDirectory.open("stock:walk", Path("runs")).path == run.path
 
 
+def test_verify_does_not_believe_a_run_that_calls_itself_shipped(own_folders):
+    run = RunDirectory.open("stock:walk", Path("runs"))
+    foreign = Path(shutil.copytree(run.path, "foreign"))
+    assert wheelleg("verify", foreign).status == 0
+    (foreign / "params" / "agent.yaml").write_text((foreign / "params" / "agent.yaml").read_text() + "\n")
+    said = wheelleg("verify", foreign)
+    assert (said.status, "there is no source/git.json" in said.out) == (1, True), said.out
+
+
 def test_two_processes_unpack_a_policy_at_the_same_time(own_folders, monkeypatch):
     folder = stock_policies.temporary_folder
 

@@ -40,21 +40,32 @@ def stock_run(name: str, root: Path) -> Path:
         raise RunDirectoryError("the file is damaged", key=str(packed), expected=expected)
     # The digest in the folder's name separates the policies of different versions of ``wheelleg_exp``.
     target = root / FOLDER / f"{name}_{digest[:8]}"
+    if not target.exists():
+        with for_people(target), zipfile.ZipFile(packed) as archive, temporary_folder(target) as folder:
+            archive.extractall(folder)
+            try:
+                folder.rename(target)
+            except OSError:
+                if not target.is_dir():  # Another process can unpack the same policy at the same time.
+                    raise
+            sync_folder(target.parent)
+    if (path := _changed_file(packed, target)) is not None:
+        message = f"the file differs from the policy '{PREFIX}{name}', which was unpacked to '{target}'"
+        expected = f"an unchanged file; delete '{target}' to have it unpacked again"
+        raise RunDirectoryError(message, key=str(path), expected=expected)
+    return target
+
+
+def is_stock(folder: Path, name: object) -> bool:
+    """Return whether a folder contains the unchanged files of the policy ``name`` that ships with ``wheelleg_exp``."""
+    return name in stock_names() and _changed_file(assets_dir() / "policies" / f"{name}.zip", folder) is None
+
+
+def _changed_file(packed: Path, folder: Path) -> Path | None:
     with zipfile.ZipFile(packed) as archive:
-        if not target.exists():
-            with for_people(target), temporary_folder(target) as folder:
-                archive.extractall(folder)
-                try:
-                    folder.rename(target)
-                except OSError:
-                    if not target.is_dir():  # Another process can unpack the same policy at the same time.
-                        raise
-                sync_folder(target.parent)
         for entry in archive.namelist():
-            path = target / entry
+            path = folder / entry
             # Commands such as ``wheelleg play`` add entries to the manifest.
             if not path.is_file() or (entry != MANIFEST_NAME and path.read_bytes() != archive.read(entry)):
-                message = f"the file differs from the policy '{PREFIX}{name}', which was unpacked to '{target}'"
-                expected = f"an unchanged file; delete '{target}' to have it unpacked again"
-                raise RunDirectoryError(message, key=str(path), expected=expected)
-    return target
+                return path
+    return None

@@ -16,6 +16,7 @@ from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import CHECKPOINT, NEEDED, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.run_list import effective_status
 from wheelleg_exp.run.source_snapshot import RECORD_NAME
+from wheelleg_exp.run.stock_policies import is_stock
 
 _UNENDED = ("running", "crashed")
 
@@ -47,7 +48,7 @@ class Subject:
     @property
     def is_shipped(self) -> bool:
         """True for a policy that ships with ``wheelleg_exp``: it has no log and no source of its training."""
-        return self.data.get("stock") is not None
+        return is_stock(self.run.path, self.data.get("stock"))
 
 
 def read_subject(run: RunDirectory) -> Subject:
