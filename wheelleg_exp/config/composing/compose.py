@@ -21,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
-from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, translate, unreadable
+from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, option_problems, translate, unreadable
 from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
 from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
 from wheelleg_exp.config.tree_lookup import leaves, node_paths
@@ -171,6 +171,8 @@ def compose(
         except COMPOSING_ERRORS as error:
             raise translate(error, used, primary, texts) from error
         parsed = OverridesParser.create().parse_overrides(texts)
+        if wrong := list(option_problems(used, parsed)):  # Hydra ignores a wrong option of an optional group.
+            raise_all(wrong)
     OmegaConf.set_struct(raw, False)
     hydra = raw.pop("hydra")
     OmegaConf.set_readonly(raw, True)

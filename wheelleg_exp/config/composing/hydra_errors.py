@@ -36,7 +36,8 @@ def where_of(override: Override) -> str:
     return f"override {override.input_line}"
 
 
-def _option_problems(loader: Loader, parsed: Sequence[Override]) -> Iterator[ConfigError]:
+def option_problems(loader: Loader, parsed: Sequence[Override]) -> Iterator[ConfigError]:
+    """Yield an error for each override that selects an option, or a config group, that does not exist."""
     for override in parsed:
         group = override.key_or_group
         if isinstance(override.value(), dict) or override.is_hydra_override():
@@ -206,7 +207,7 @@ def translate(error: Exception, loader: Loader, primary: str, overrides: Sequenc
     if found:
         return join(found)
     parsed = OverridesParser.create().parse_overrides(list(overrides))
-    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or list(_option_problems(loader, parsed))
+    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or list(option_problems(loader, parsed))
     if found:
         return join(found)
     if isinstance(error, MissingConfigException):
