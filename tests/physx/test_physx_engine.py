@@ -11,6 +11,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.sim.physx.physx_engine import PhysxEngine
 
 pytest.importorskip("ovphysx")
 
@@ -79,16 +80,24 @@ def test_a_flying_robot_with_driven_joints_moves_as_in_mujoco(words):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong"),
+    ("right", "wrong", "named"),
     [
-        ("diagonalInertia = (0.000144573333, 0.000179573333,", "diagonalInertia = (0.000289146666, 0.000359146666,"),
-        ("centerOfMass = (0, 0, -0.02125)", "centerOfMass = (0, 0, -0.05)"),
-        ('axis = "Y"', 'axis = "X"'),
-        ("localPos0 = (0, 0.04, 0)", "localPos0 = (0, 0.08, 0)"),
-        ("l_thigh_link", "r_thigh_link"),
+        (
+            "diagonalInertia = (0.000144573333, 0.000179573333,",
+            "diagonalInertia = (0.000289146666, 0.000359146666,",
+            "inertia of base_link (",
+        ),
+        (
+            "centerOfMass = (0, 0, -0.02125)",
+            "centerOfMass = (0, 0, -0.05)",
+            "centre of mass of l_thigh_link (29 mm away)",
+        ),
+        ('axis = "Y"', 'axis = "X"', "position of "),
+        ("localPos0 = (0, 0.04, 0)", "localPos0 = (0, 0.08, 0)", "position of "),
+        ("l_thigh_link", "r_thigh_link", "position of "),
     ],
 )
-def test_errors_of_the_conversion_become_visible(tmp_path, right, wrong):
+def test_errors_of_the_conversion_become_visible(tmp_path, right, wrong, named):
     shutil.copytree(assets_dir() / "wheelleg", tmp_path / "wheelleg")
     physics = tmp_path / "wheelleg/configuration/wheelleg_physics.usda"
     text = physics.read_text()
@@ -104,6 +113,30 @@ def test_errors_of_the_conversion_become_visible(tmp_path, right, wrong):
     mjcf = prepare_asset(compose(["task=stand", "robot=physical"]).config).output
     wrongly = ManagerBasedRLEnv(config["env"], mjcf, 0)
     assert worst(flight(build("mujoco")), flight(wrongly)) > 1.4
+    found = wrongly.scene.sim.robot_differences()
+    assert any(text.startswith(named) for text in found)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "factor", "named"),
+    [
+        ("DOF_ARMATURE", 0.0, "armature of l01 and 5 more (0 times)"),
+        ("DOF_STIFFNESS", 2.0, "stiffness of l01 and 3 more (2 times)"),
+        ("SHAPE_FRICTION_AND_RESTITUTION", 0.5, "friction and restitution of base_link and 6 more (0.5 times)"),
+        ("", 1.0, None),
+    ],
+)
+def test_another_robot_is_named(monkeypatch, quantity, factor, named):
+    write = PhysxEngine._write
+
+    def write_wrong(engine, name, values, rows=None):
+        write(engine, name, values * factor if name == quantity else values, rows)
+
+    monkeypatch.setattr(PhysxEngine, "_write", write_wrong)
+    env = build("physx")
+    flying(env)
+    advance(env, 24)
+    assert env.scene.sim.robot_differences() == ([named] if named else [])
 
 
 def test_a_wheel_counts_its_turns():
@@ -180,9 +213,17 @@ def Xform "wheelleg" (references = @wheelleg/wheelleg.usda@)
 """
 
 
-def test_a_robot_rests_on_a_collider_that_is_a_group_in_an_instance(tmp_path):
+# As an older importer writes it: the instance itself is the collider.
+COLLIDER = ' (prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"])'
+WITH_INSTANCE = WITH_GROUP.replace(COLLIDER, "").replace(
+    'over "collisions" (', 'def Xform "more" (instanceable = true; prepend apiSchemas = ["PhysicsCollisionAPI"]; '
+)
+
+
+@pytest.mark.parametrize("text", [WITH_GROUP, WITH_INSTANCE])
+def test_a_robot_rests_on_a_collider_above_meshes_in_an_instance(tmp_path, text):
     shutil.copytree(assets_dir() / "wheelleg", tmp_path / "wheelleg")
-    (tmp_path / "robot.usda").write_text(WITH_GROUP)
+    (tmp_path / "robot.usda").write_text(text)
     heights = []
     for engine in ("mujoco", "physx"):
         words = ["task=stand", "robot=physical", "env.num_envs=1", f"env.sim.engine={engine}"]

@@ -237,6 +237,7 @@ def about(rollout: Rollout) -> dict[str, Any]:
         "device": str(env.device),
         "model_sha256": env.scene.model_digest(),
         **({} if promise["exact"] else {"promise": promise}),
+        **({"robot_differences": found} if (found := env.scene.sim.robot_differences()) else {}),
     }
 
 

@@ -54,6 +54,10 @@ class Engine(Kept, ABC):
         """Return the engine's entry in a run's manifest: name, device, and whether it is bit-reproducible."""
         return {"name": self.name, "device": str(self.device), "exact": self.exact}
 
+    def robot_differences(self) -> list[str]:
+        """Return how the simulated robots differ from the model's robots, one text per property."""
+        return []
+
     @abstractmethod
     def view(self, name: str) -> torch.Tensor:
         """Return a view (N, ...) of an MjData field, which always shows the present values.

@@ -32,6 +32,7 @@ _FIELDS = mujoco.mjtConDataField
 _NORMAL = sum(1 << int(f) for f in (_FIELDS.mjCONDATA_FOUND, _FIELDS.mjCONDATA_FORCE, _FIELDS.mjCONDATA_NORMAL))
 _WIDTH = 7  # numbers of one contact: found (1), force (3), normal (3)
 _SPACING = 0.5  # m; distance of the robots' starts in PhysX
+_SAME, _SAME_PLACE = 1e-3, 1e-4  # relative difference, and m, from which PhysX's robot is another one
 _BODY_FIELDS = {"body_mass", "body_ipos", "body_iquat", "body_inertia"}
 _SENT = _BODY_FIELDS | {"actuator_biasprm", "actuator_forcerange", "dof_armature", "dof_frictionloss", "dof_damping"}
 _SENT |= {"geom_friction", "jnt_range", "jnt_limited", "opt.gravity"}
@@ -60,7 +61,11 @@ class PhysxEngine(BatchEngine):
 
         self._types, self._robots = TensorType, f"{ROBOTS}/env_*/{root}"
         self._bindings: dict[str, tuple[Any, torch.Tensor]] = {}
+        self._sent: dict[str, torch.Tensor] = {}  # what the simulations were last told about drives and shapes
         self._connect()
+        self._gap = torch.zeros(
+            len(self._links), dtype=self.dtype
+        )  # m; largest distance of PhysX's links from MuJoCo's
         # Orientations of MuJoCo's link frames in the USD file's, (w, x, y, z). Only the root link's frame can differ.
         self._frames = torch.zeros(len(self._links), 4, dtype=self.dtype)
         self._frames[:, 0] = 1.0
@@ -155,6 +160,29 @@ class PhysxEngine(BatchEngine):
         self._read_states()
         self.forward()
         self._read_contacts()
+        apart = self._read("LINK_POSE")[..., :3] + self._shift[:, None] - self.derived("xpos")[:, self._links]
+        self._gap = torch.maximum(self._gap, torch.linalg.vector_norm(apart, dim=2).amax(dim=0))
+
+    def robot_differences(self) -> list[str]:
+        joints = [self.model.joint(int(i)).name for i in self._joints]
+        links = [self.model.body(int(i)).name for i in self._links]
+        shapes = [self.model.body(int(self.model.geom_bodyid[i])).name for i in self._shapes]
+        moments = torch.linalg.eigvalsh(self._read("BODY_INERTIA").unflatten(2, (3, 3)))
+        ours = {name: self._field(name)[:, self._links] for name in ("body_mass", "body_inertia", "body_ipos")}
+        pairs = [
+            ("mass", links, ours["body_mass"], self._read("BODY_MASS")),
+            ("inertia", links, ours["body_inertia"].sort(dim=2).values, moments),
+        ]
+        for name, sent in self._sent.items():
+            what, names = name.partition("_")[2].lower().replace("_", " "), joints if name.startswith("DOF") else shapes
+            pairs.append((what, names, sent, self._read(name)))
+        found = [text for pair in pairs if (text := _difference(*pair))]
+        centres = (rotation.quat_to_matrix(self._frames) @ ours["body_ipos"].unsqueeze(3)).squeeze(3)
+        moved = torch.linalg.vector_norm(centres - self._read("BODY_COM_POSE")[..., :3], dim=2).amax(dim=0)
+        for what, distances in (("centre of mass", moved), ("position", self._gap)):
+            if (furthest := float(distances.max())) > _SAME_PLACE:
+                found.append(f"{what} of {links[int(distances.argmax())]} ({1e3 * furthest:.2g} mm away)")
+        return found
 
     def _bound(self, name: str) -> tuple[Any, torch.Tensor]:
         """Return PhysX's access to a quantity of the robots, and a tensor of its shape, float32."""
@@ -187,13 +215,16 @@ class PhysxEngine(BatchEngine):
         limit = torch.where(limited, self._field("actuator_forcerange")[:, self._actuators, 1], _UNLIMITED)
         by_speed = self._unlimited & (bias[..., 2] < 0.0)
         stiffness = torch.where(by_speed, 0.0, -bias[..., 1])
-        for name, values in {"STIFFNESS": stiffness, "DAMPING": -bias[..., 2], "MAX_FORCE": limit}.items():
-            self._write(f"DOF_{name}", torch.zeros(shape, dtype=self.dtype).index_copy_(1, self._driven, values))
-        self._write("DOF_ARMATURE", self._field("dof_armature")[:, dofs])
+        drives = {"STIFFNESS": stiffness, "DAMPING": -bias[..., 2], "MAX_FORCE": limit}
+        blank = torch.zeros(shape, dtype=self.dtype)
+        self._sent = {f"DOF_{name}": blank.index_copy(1, self._driven, values) for name, values in drives.items()}
+        self._sent["DOF_ARMATURE"] = self._field("dof_armature")[:, dofs].clone()
         friction, viscous = self._field("dof_frictionloss")[:, dofs], self._field("dof_damping")[:, dofs]
-        self._write("DOF_FRICTION_PROPERTIES", torch.stack((friction, friction, viscous), dim=2))
+        self._sent["DOF_FRICTION_PROPERTIES"] = torch.stack((friction, friction, viscous), dim=2)
         sliding = self._field("geom_friction")[:, self._shapes, 0]
-        self._write("SHAPE_FRICTION_AND_RESTITUTION", torch.stack((sliding, sliding, 0.0 * sliding), dim=2))
+        self._sent["SHAPE_FRICTION_AND_RESTITUTION"] = torch.stack((sliding, sliding, 0.0 * sliding), dim=2)
+        for name, values in self._sent.items():
+            self._write(name, values)
         if "jnt_range" in self.expanded:
             self._write("DOF_LIMIT", self._field("jnt_range")[:, self._joints])
         if _BODY_FIELDS & self.expanded.keys():
@@ -318,6 +349,17 @@ class PhysxEngine(BatchEngine):
             normal = torch.where(size > 0.0, -force / size, 0.0)
             row = torch.cat(((size > 0.0).double(), size, torch.zeros(self.num_envs, 2), normal), dim=1)
             self._sensordata[:, start : start + _WIDTH] = row
+
+
+def _difference(what: str, names: list[str], ours: torch.Tensor, theirs: torch.Tensor) -> str:
+    """Return a text that names the parts with different values (N, K, ...), such as ``inertia of l_leg (2 times)``."""
+    wrong = (theirs - ours).abs() > _SAME * ours.abs() + 1e-9
+    odd = [name for name, is_odd in zip(names, wrong.transpose(0, 1).flatten(1).any(dim=1), strict=True) if is_odd]
+    if not odd:
+        return ""
+    first, second = float(ours[wrong][0]), float(theirs[wrong][0])
+    size = f"{second / first:.3g} times" if first else f"{second:.3g}, not 0"
+    return f"{what} of {odd[0]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''} ({size})"
 
 
 def _wrapped(angles: torch.Tensor) -> torch.Tensor:

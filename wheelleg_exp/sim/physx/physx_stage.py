@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,7 @@ def write_scene(
     The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the setting of the
     USD file; None leaves it unchanged.
     """
-    overs = _overs(links.values(), root, self_collisions, _instances(usd))
+    overs = _overs(links.values(), root, self_collisions, *_instances_and_shapes(usd))
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
     ground = [_ground_prim(model, geom) for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
     size = float(np.linalg.norm(model.opt.gravity))
@@ -127,23 +127,34 @@ def write_scene(
     path.write_text(text, encoding="utf-8")
 
 
-def _instances(usd: Path) -> set[str]:
-    """Return the paths of the instances in a USD file, from its default prim."""
-    from pxr import Usd
+def _instances_and_shapes(usd: Path) -> tuple[set[str], set[str]]:
+    """Return the paths of a USD file's instances, and of shapes that are colliders because the prim above them is one.
+
+    A collider above shapes can have the approximation of a mesh; then it is one collider in PhysX as well.
+    """
+    from pxr import Usd, UsdGeom, UsdPhysics
+
+    def below(prim: Usd.Prim) -> Iterator[Usd.Prim]:
+        return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
 
     stage = Usd.Stage.Open(str(usd))
     top = stage.GetDefaultPrim()
-    prims = (prim for prim in Usd.PrimRange(top, Usd.TraverseInstanceProxies()) if prim.IsInstance())
-    return {str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims}
+    groups = [prim for prim in below(top) if prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.IsA(UsdGeom.Gprim)]
+    groups = [prim for prim in groups if not prim.HasAPI(UsdPhysics.MeshCollisionAPI)]
+    shapes = [prim for group in groups for prim in below(group) if prim.IsA(UsdGeom.Gprim)]
+    found = [[prim for prim in below(top) if prim.IsInstance()], shapes]
+    instances, solid = ({str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims} for prims in found)
+    return instances, solid
 
 
-def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instances: set[str]) -> str:
+def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instances: set[str], shapes: set[str]) -> str:
     """Return USD text that makes all links report their contacts, and that sets self-collisions at the root.
 
     ``instances`` become ordinary prims, because PhysX ignores a collider in an instance that is a group of meshes.
+    ``shapes`` become colliders, because PhysX ignores a collider without a shape of its own.
     """
     children: dict[str, list[str]] = {}
-    for path in (*paths, *instances):
+    for path in (*paths, *instances, *shapes):
         children.setdefault(path, [])
         for parent in (str(p) for p in Path(path).parents):
             if path not in children.setdefault(parent, []):
@@ -155,6 +166,8 @@ def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instan
         apis, values = [], []
         if path in links:
             apis, values = ["PhysxContactReportAPI"], ["float physxContactReport:threshold = 0"]
+        if path in shapes:
+            apis = ["PhysicsCollisionAPI"]
         if path == root and self_collisions is not None:
             apis.append("PhysxArticulationAPI")
             values.append(f"bool physxArticulation:enabledSelfCollisions = {int(self_collisions)}")
