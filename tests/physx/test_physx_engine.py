@@ -15,7 +15,8 @@ from wheelleg_exp.sim.physx.physx_engine import PhysxEngine
 
 pytest.importorskip("ovphysx")
 
-G, DT = 9.81, 1.0 / 120.0
+G, DT, RADIUS = 9.81, 1.0 / 120.0, 0.02  # m/s², s, m; radius of the wheels
+ENGINES = ("mujoco", "physx")
 
 
 def build(engine, *words, num_envs=2, robot="physical"):
@@ -167,6 +168,67 @@ def test_the_ground_carries_the_weight():
         lifted.append(env.scene["contact_forces"].data.net_forces_w.sum(dim=1)[:, 2])
     weight = env.scene.sim.expand("body_mass").sum(dim=1).float() * G
     assert torch.allclose(torch.stack(lifted[-60:]).mean(dim=0), weight, rtol=0.01)
+
+
+def free(engine, *words):
+    """Return an environment whose robots are at rest in the air, without gravity."""
+    env = build(engine, *words)
+    flying(env)
+    env.scene.sim.expand("opt.gravity").zero_()
+    robot = env.scene.robot
+    robot.write_root_velocity_to_sim(torch.zeros(2, 6))
+    robot.write_joint_state_to_sim(robot.data.default_joint_pos, 0.0 * robot.data.default_joint_vel)
+    robot.set_joint_position_target(robot.data.default_joint_pos)
+    robot.set_joint_velocity_target(0.0 * robot.data.default_joint_vel)
+    env.scene.refresh()
+    return env
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_drive_reaches_its_speed_by_the_time_constant_of_armature_over_damping(engine):
+    drive = "env.robot.actuators.wheels."
+    env = free(engine, f"{drive}armature=0.05", f"{drive}damping=0.5", f"{drive}effort_limit=10.0")
+    robot = env.scene.robot
+    wheels, _ = robot.find_joints([".*03"])
+    robot.set_joint_velocity_target(torch.full((2, 2), 5.0), wheels)
+    advance(env, 12)  # 0.1 s, one time constant
+    speed = robot.data.joint_vel[:, wheels] / 5.0
+    assert torch.allclose(speed, torch.tensor(1.0 - math.exp(-1.0)), rtol=0.03), speed
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_robot_lands_when_the_parabola_meets_the_ground(engine):
+    env = build(engine)
+    robot = env.scene.robot
+    state = robot.data.default_root_state.clone()
+    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.5])
+    robot.write_root_state_to_sim(state)
+    env.scene.refresh()
+    wheels, _ = robot.find_bodies([".*_wheel_link"])
+    gap = float(robot.data.body_pos_w[:, wheels, 2].min()) - RADIUS
+    steps = 0
+    while not env.scene["contact_forces"].data.net_forces_w.any():
+        advance(env, 1)
+        steps += 1
+    assert steps * DT == pytest.approx(math.sqrt(2.0 * gap / G), abs=1.5 * DT)
+
+
+def test_a_robot_with_stiff_joints_topples_as_in_mujoco():
+    keys, tilts = ("stiffness=50.0", "damping=0.5", "effort_limit=50.0"), []
+    for engine in ENGINES:
+        env = build(engine, *(f"env.robot.actuators.{group}.{key}" for group in ("legs", "wheels") for key in keys))
+        robot = env.scene.robot
+        state = robot.data.default_root_state.clone()
+        state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.07])
+        pitch = torch.tensor([0.01, -0.01])
+        state[:, 3:7] = torch.stack(((pitch / 2.0).cos(), 0.0 * pitch, (pitch / 2.0).sin(), 0.0 * pitch), dim=1)
+        robot.write_root_state_to_sim(state)
+        robot.set_joint_position_target(robot.data.default_joint_pos)
+        env.scene.refresh()
+        advance(env, 36)
+        tilts.append(float(robot.data.projected_gravity_b[:, 0].asin().diff()))
+    assert tilts[0] < -0.06  # the tilts differed by 0.02
+    assert tilts[0] == pytest.approx(tilts[1], rel=0.1)
 
 
 def _box(half, height):
