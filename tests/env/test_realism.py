@@ -12,6 +12,7 @@ from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_realism, without_realism
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.delay import DelayBuffer
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations."
@@ -178,3 +179,13 @@ def test_exact_robots_have_true_readings_and_the_models_body_and_prompt_robots_a
             delay.reset(torch.arange(8))
             longest = torch.maximum(longest, delay.lag)
         assert (longest > 0).tolist() == [False] * prompt + [True] * (8 - prompt)
+
+
+def test_a_task_gets_its_training_with_the_variant_that_needs_it():
+    def iterations(*words):
+        return compose(["task=walk", *words]).config["agent"]["max_iterations"]
+
+    assert (iterations(), iterations("realism=sensors"), iterations("realism=full", "~training")) == (400, 400, 400)
+    assert (iterations("realism=full"), iterations("realism=full", "agent.max_iterations=5")) == (760, 5)
+    with pytest.raises(ConfigError, match="'walk_ful' is not an option"):
+        iterations("training=walk_ful")

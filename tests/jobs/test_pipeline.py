@@ -25,6 +25,7 @@ from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pi
 from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.training_job import JobRequest, serve
+from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.stop_request import StopRequest
@@ -268,6 +269,12 @@ def refusal(phases, words: list[str]) -> str:
     with pytest.raises(ConfigError) as told:
         compose_phases(phases, words)
     return str(told.value)
+
+
+def test_the_phases_of_the_stock_pipeline_fit_together_with_realism():
+    declared = yaml.safe_load((configs_dir() / "pipeline/stand_to_terrain.yaml").read_text())
+    phases = compose_phases(read_pipeline(declared).phases, ["robot=physical", "realism=full"])
+    assert list(phases) == ["stand", "walk", "velocity", "terrain"]
 
 
 def test_mistakes_of_all_phases_are_reported_at_once_and_a_mistake_of_all_phases_once():

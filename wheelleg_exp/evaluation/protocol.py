@@ -87,6 +87,8 @@ def evaluate(
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
     starts, episodes = {part.test: part.starts for part in parts}, joined([part.columns for part in parts])
     about_robot = parts[0].about if parts else {}
+    if odd := dict.fromkeys(text for part in parts for text in part.about.get("robot_differences", ())):
+        about_robot = about_robot | {"robot_differences": list(odd)}
     digest = hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
     return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
 

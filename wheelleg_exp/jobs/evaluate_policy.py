@@ -366,8 +366,9 @@ def compare(
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     if engines:
         said, pushed = engine_verdict(found, *engines), ""
-        if odd := against[0].evaluation.about.get("robot_differences"):
-            said += f" The robot in {engines[1]} is another one than in {engines[0]}: {', '.join(odd)}."
+        abouts = [made.evaluation.about for made in (*runs, *against)]
+        if odd := dict.fromkeys(text for about in abouts for text in about.get("robot_differences", ())):
+            said += f" The robot differs between {' and '.join(engines)}: {', '.join(odd)}."
     else:
         said = verdict(found, *names, trainings) if against else ""
         pushed = push_verdict(found, *names)

@@ -60,7 +60,7 @@ def _value_problems(repository: Repository, override: Override) -> list[ConfigEr
     if override.is_force_add() or not isinstance(value, (str, list)):
         expected = f"{key}=<option> or +{key}=<option>, one of " + ", ".join(options)
         return [ConfigError("a group takes the name of an option", key=key, where=where, expected=expected)]
-    names = [str(name) for name in (value if isinstance(value, list) else [value])]
+    names = [str(name) for name in (value if isinstance(value, list) else [value]) if "${" not in str(name)]
     wrong = [n for n in names if n not in options and not repository.config_exists(f"{override.key_or_group}/{n}")]
     return [_no_option(key, name, options, where) for name in wrong]
 

@@ -32,7 +32,8 @@ _FIELDS = mujoco.mjtConDataField
 _NORMAL = sum(1 << int(f) for f in (_FIELDS.mjCONDATA_FOUND, _FIELDS.mjCONDATA_FORCE, _FIELDS.mjCONDATA_NORMAL))
 _WIDTH = 7  # numbers of one contact: found (1), force (3), normal (3)
 _SPACING = 0.5  # m; distance of the robots' starts in PhysX
-_SAME, _SAME_PLACE = 1e-3, 1e-4  # relative difference, and m, from which PhysX's robot is another one
+# Relative difference, m, and rad, up to which the robots of PhysX and MuJoCo count as equal.
+_SAME, _SAME_PLACE, _SAME_TURN = 1e-3, 1e-4, 0.01
 _BODY_FIELDS = {"body_mass", "body_ipos", "body_iquat", "body_inertia"}
 _SENT = _BODY_FIELDS | {"actuator_biasprm", "actuator_forcerange", "dof_armature", "dof_frictionloss", "dof_damping"}
 _SENT |= {"geom_friction", "jnt_range", "jnt_limited", "opt.gravity"}
@@ -61,11 +62,10 @@ class PhysxEngine(BatchEngine):
 
         self._types, self._robots = TensorType, f"{ROBOTS}/env_*/{root}"
         self._bindings: dict[str, tuple[Any, torch.Tensor]] = {}
-        self._sent: dict[str, torch.Tensor] = {}  # what the simulations were last told about drives and shapes
+        self._sent: dict[str, torch.Tensor] = {}  # what PhysX was last sent about drives and shapes
         self._connect()
-        self._gap = torch.zeros(
-            len(self._links), dtype=self.dtype
-        )  # m; largest distance of PhysX's links from MuJoCo's
+        # Largest distance, m, and angle, rad, of each link in PhysX from the same link in MuJoCo.
+        self._gap, self._turn = torch.zeros(2, len(self._links), dtype=self.dtype)
         # Orientations of MuJoCo's link frames in the USD file's, (w, x, y, z). Only the root link's frame can differ.
         self._frames = torch.zeros(len(self._links), 4, dtype=self.dtype)
         self._frames[:, 0] = 1.0
@@ -160,8 +160,16 @@ class PhysxEngine(BatchEngine):
         self._read_states()
         self.forward()
         self._read_contacts()
-        apart = self._read("LINK_POSE")[..., :3] + self._shift[:, None] - self.derived("xpos")[:, self._links]
-        self._gap = torch.maximum(self._gap, torch.linalg.vector_norm(apart, dim=2).amax(dim=0))
+        self._compare_links()
+
+    def _compare_links(self) -> None:
+        pose, links = self._read("LINK_POSE"), self._links
+        apart = pose[..., :3] + self._shift[:, None] - self.derived("xpos")[:, links]
+        frames = self._frames.expand(self.num_envs, -1, -1).flatten(0, 1)
+        turned = rotation.quat_mul(pose[..., 3:][..., _WXYZ].flatten(0, 1), frames).view_as(pose[..., 3:])
+        same = (turned * self.derived("xquat")[:, links]).sum(dim=2).abs().clamp(max=1.0)
+        for worst, now in ((self._gap, torch.linalg.vector_norm(apart, dim=2)), (self._turn, 2.0 * same.acos())):
+            worst.copy_(torch.fmax(worst, now.nan_to_num(0.0).amax(dim=0)))  # NaN: PhysX's simulation has failed
 
     def robot_differences(self) -> list[str]:
         joints = [self.model.joint(int(i)).name for i in self._joints]
@@ -179,9 +187,14 @@ class PhysxEngine(BatchEngine):
         found = [text for pair in pairs if (text := _difference(*pair))]
         centres = (rotation.quat_to_matrix(self._frames) @ ours["body_ipos"].unsqueeze(3)).squeeze(3)
         moved = torch.linalg.vector_norm(centres - self._read("BODY_COM_POSE")[..., :3], dim=2).amax(dim=0)
-        for what, distances in (("centre of mass", moved), ("position", self._gap)):
-            if (furthest := float(distances.max())) > _SAME_PLACE:
-                found.append(f"{what} of {links[int(distances.argmax())]} ({1e3 * furthest:.2g} mm away)")
+        far = [
+            ("centre of mass", moved, _SAME_PLACE, 1e3, "mm away"),
+            ("position", self._gap, _SAME_PLACE, 1e3, "mm away"),
+        ]
+        far.append(("orientation", self._turn, _SAME_TURN, 180.0 / math.pi, "° away"))
+        for what, sizes, limit, factor, unit in far:
+            if (largest := float(sizes.max())) > limit:
+                found.append(f"{what} of {links[int(sizes.argmax())]} ({factor * largest:.2g} {unit})")
         return found
 
     def _bound(self, name: str) -> tuple[Any, torch.Tensor]:
@@ -354,12 +367,13 @@ class PhysxEngine(BatchEngine):
 def _difference(what: str, names: list[str], ours: torch.Tensor, theirs: torch.Tensor) -> str:
     """Return a text that names the parts with different values (N, K, ...), such as ``inertia of l_leg (2 times)``."""
     wrong = (theirs - ours).abs() > _SAME * ours.abs() + 1e-9
-    odd = [name for name, is_odd in zip(names, wrong.transpose(0, 1).flatten(1).any(dim=1), strict=True) if is_odd]
+    odd = wrong.transpose(0, 1).flatten(1).any(dim=1).nonzero().flatten().tolist()
     if not odd:
         return ""
-    first, second = float(ours[wrong][0]), float(theirs[wrong][0])
+    mine = wrong[:, odd[0]]
+    first, second = float(ours[:, odd[0]][mine][0]), float(theirs[:, odd[0]][mine][0])
     size = f"{second / first:.3g} times" if first else f"{second:.3g}, not 0"
-    return f"{what} of {odd[0]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''} ({size})"
+    return f"{what} of {names[odd[0]]}{f' and {len(odd) - 1} more' if len(odd) > 1 else ''} ({size})"
 
 
 def _wrapped(angles: torch.Tensor) -> torch.Tensor:
