@@ -35,7 +35,7 @@ MOUNTS = {
 }
 APART = ("action", "realism", "robot", "scene", "sim")
 # The environment does not build the nodes of these config groups.
-NOT_BUILT = ("agent", "pipeline", "protocol", "recording", "run", "task")
+NOT_BUILT = ("agent", "pipeline", "protocol", "recording", "run", "task", "training")
 # These options need a terrain of tiles; the values are their config groups.
 ON_TILES: dict[str, str] = {"flat_patch": "command", "reset_base_on_terrain": "event"}
 # Camera options need a rendering backend; the values are their config groups.
