@@ -188,13 +188,13 @@ class PhysxEngine(BatchEngine):
         centres = (rotation.quat_to_matrix(self._frames) @ ours["body_ipos"].unsqueeze(3)).squeeze(3)
         moved = torch.linalg.vector_norm(centres - self._read("BODY_COM_POSE")[..., :3], dim=2).amax(dim=0)
         far = [
-            ("centre of mass", moved, _SAME_PLACE, 1e3, "mm away"),
-            ("position", self._gap, _SAME_PLACE, 1e3, "mm away"),
+            ("centre of mass", moved, _SAME_PLACE, 1e3, " mm away"),
+            ("position", self._gap, _SAME_PLACE, 1e3, " mm away"),
+            ("orientation", self._turn, _SAME_TURN, 180.0 / math.pi, "° away"),
         ]
-        far.append(("orientation", self._turn, _SAME_TURN, 180.0 / math.pi, "° away"))
         for what, sizes, limit, factor, unit in far:
             if (largest := float(sizes.max())) > limit:
-                found.append(f"{what} of {links[int(sizes.argmax())]} ({factor * largest:.2g} {unit})")
+                found.append(f"{what} of {links[int(sizes.argmax())]} ({factor * largest:.2g}{unit})")
         return found
 
     def _bound(self, name: str) -> tuple[Any, torch.Tensor]:

@@ -137,14 +137,15 @@ def _instances_and_shapes(usd: Path) -> tuple[set[str], set[str]]:
     def below(prim: Usd.Prim) -> Iterator[Usd.Prim]:
         return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
 
+    def paths(prims: Iterable[Usd.Prim]) -> set[str]:
+        return {str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims}
+
     stage = Usd.Stage.Open(str(usd))
     top = stage.GetDefaultPrim()
-    groups = [prim for prim in below(top) if prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.IsA(UsdGeom.Gprim)]
-    groups = [prim for prim in groups if not prim.HasAPI(UsdPhysics.MeshCollisionAPI)]
-    shapes = [prim for group in groups for prim in below(group) if prim.IsA(UsdGeom.Gprim)]
-    found = [[prim for prim in below(top) if prim.IsInstance()], shapes]
-    instances, solid = ({str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims} for prims in found)
-    return instances, solid
+    colliders = (prim for prim in below(top) if prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.IsA(UsdGeom.Gprim))
+    groups = (prim for prim in colliders if not prim.HasAPI(UsdPhysics.MeshCollisionAPI))
+    shapes = (prim for group in groups for prim in below(group) if prim.IsA(UsdGeom.Gprim))
+    return paths(prim for prim in below(top) if prim.IsInstance()), paths(shapes)
 
 
 def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instances: set[str], shapes: set[str]) -> str:
