@@ -56,6 +56,16 @@ def test_the_first_rollout_has_the_networks_of_the_other_run_or_its_policy_alone
     assert same(networks(run.checkpoint(0), "critic"), networks(drawn.checkpoint(0), "critic"))
 
 
+def test_a_new_observation_at_the_end_starts_without_influence(trained: Trained, tmp_path):
+    frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
+    run = train(tmp_path, trained.run.path, *frozen, f"+{TERMS}=[base_height]")
+    old, new = (networks(path, "actor", "critic") for path in (trained.run.latest_checkpoint(), run.checkpoint(0)))
+    first, added = "actor.mlp.0.weight", 5  # five control steps of one number
+    assert torch.equal(new[first][:, :-added], old[first])
+    assert (new[first][:, -added:] == 0.0).all()
+    assert same({**new, first: old[first]}, old)
+
+
 def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
     words = ["task=stand", *TINY, f"init_from={trained.run.path}"]
     assert wheelleg("check", *words).status == 0
@@ -118,13 +128,14 @@ def test_it_goes_on_to_the_bit_and_equal_networks_have_one_digest(begun, trained
 
 
 TERMS = "observation@env.observations.policy.terms"
+USUAL = "base_ang_vel,projected_gravity,velocity_commands,wheeled/joint_pos_rel,joint_vel_rel,last_action"
 
 
 POLICY = "env.observations.policy"
 MISTAKES = [
     (["init_from=nobody"], ["init_from: there is no run 'nobody'"]),
     (
-        [f"+{TERMS}=[base_height]", "agent.actor.activation=relu", "action@env.actions=[wheel_vel,leg_pos]"],
+        [f"{TERMS}=[base_height,{USUAL}]", "agent.actor.activation=relu", "action@env.actions=[wheel_vel,leg_pos]"],
         [
             f"{POLICY}.terms.base_height: is new",
             *("agent.actor.activation", "has elu and this relu"),

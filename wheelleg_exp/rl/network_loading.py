@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
@@ -38,16 +39,22 @@ def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
         raise ConfigError(message, key="agent.teacher_checkpoint", expected=expected) from error
 
 
-def load_initial(algorithm: Any, initial: Initial) -> None:
+def load_initial(algorithm: Any, initial: Initial, env: RslRlVecEnv, obs_groups: Mapping[str, Sequence[str]]) -> None:
     """Load the networks of a checkpoint into an rsl_rl algorithm.
 
+    Observation terms that are new and at the end of a network's inputs get weights of 0.
     ``load_initial`` draws no random numbers, so a training's random streams do not depend on the initial networks.
     """
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
-    wrong = []
+    wrong, state = [], dict(initial.state)
     for role in (part for part in initial.parts if part in checkpoint.ROLES):
-        has = {name: list(value.shape) for name, value in initial.state[f"{role}_state_dict"].items()}
-        needs = {name: list(value.shape) for name, value in getattr(algorithm, role).state_dict().items()}
+        own = getattr(algorithm, role).state_dict()
+        if further := initial.facts.get("further", {}).get(role):
+            slices = env.env.observation_manager.term_slices(obs_groups[role][-1])
+            more = sum(slices[name].stop - slices[name].start for name in further)
+            state[f"{role}_state_dict"] = _widened(state[f"{role}_state_dict"], more)
+        has = {name: list(value.shape) for name, value in state[f"{role}_state_dict"].items()}
+        needs = {name: list(value.shape) for name, value in own.items()}
         name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
         if name is not None:
             wrong.append(f"the {role}'s {name} is {has.get(name, 'absent')} there and {needs.get(name, 'absent')} here")
@@ -55,11 +62,22 @@ def load_initial(algorithm: Any, initial: Initial) -> None:
         key, expected = "init_from", "the observations, actions and networks that it was trained with, or null"
         raise ConfigError(f"networks of '{whose}' have wrong shapes: {'; '.join(wrong)}", key=key, expected=expected)
     try:
-        algorithm.load(dict(initial.state), dict.fromkeys(initial.parts, True), True)
+        algorithm.load(state, dict.fromkeys(initial.parts, True), True)
     except (RuntimeError, LookupError, ValueError, TypeError) as error:
         message = f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}"
         expected = "networks, or the algorithm and the optimiser that it was trained with"
         raise ConfigError(message, key="init_from_what", expected=expected) from error
+
+
+# The tensors whose columns are a network's inputs, and the value that a new input has.
+_INPUTS = {"mlp.0.weight": 0.0, "obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
+
+
+def _widened(state: Mapping[str, torch.Tensor], more: int) -> dict[str, torch.Tensor]:
+    """Return a network's state with ``more`` inputs at the end."""
+    pad = torch.nn.functional.pad
+    wide = {name: pad(state[name], (0, more), value=value) for name, value in _INPUTS.items() if name in state}
+    return {**state, **wide}
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:

@@ -69,7 +69,7 @@ class Trainer:
         if teacher is not None:
             load_teacher(self.algorithm, teacher)
         if initial is not None:
-            load_initial(self.algorithm, initial)
+            load_initial(self.algorithm, initial, env, agent["obs_groups"])
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))

@@ -41,6 +41,7 @@ class Fit:
     mistakes: list[ConfigError]  # ``mistakes`` lists changed settings with which the initial policy cannot work.
     suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change the observation size.
     notes: list[str]  # ``notes`` reports changed settings after which the trained policy may still work.
+    further: dict[str, list[str]]  # new observation terms after all others, by network; their weights start at 0
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
@@ -51,7 +52,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     messages, such as ``phase 'walk'``. A changed parameter of an observation function gives only a note, because it may
     not change the observation size.
     """
-    found = Fit([], [], [])
+    found = Fit([], [], [], {})
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
         _compare_networks(found, old_agent.get(role), agent.get(role), f"agent.{role}", of)
@@ -60,7 +61,9 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
             _refuse(found, f"agent.obs_groups.{role}", f"{of} has {groups[0]} and this has {groups[1]}")
         for name in (name for name in groups[1] if name in groups[0]):
             pair = [(part.get("observations") or {}).get(name) or {} for part in (old_env, env)]
-            _compare_group(found, pair[0], pair[1], f"env.observations.{name}", of)
+            further = _further(*pair) if name == groups[1][-1] else []
+            found.further[role] = further
+            _compare_group(found, pair[0], pair[1], f"env.observations.{name}", of, further)
     pair = [part.get("actions") or {} for part in (old_env, env)]
     _compare_terms(found, pair[0], pair[1], "env.actions", of, ("_target_",), ())
     orders = [(part.get("robot") or {}).get("joint_order") for part in (old_env, env)]
@@ -69,7 +72,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     if old_env.get("decimation") != env.get("decimation"):
         found.notes.append(_describe_change("env.decimation", old_env.get("decimation"), env.get("decimation")))
     mistakes = {(error.key, error.message): error for error in found.mistakes}
-    return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)))
+    return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)), found.further)
 
 
 def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
@@ -78,11 +81,20 @@ def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
 
 
-def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str) -> None:
+def _further(was: Tree, now: Tree) -> list[str]:
+    """Return the terms of an observation group that are new and after all old terms, as their inputs are then."""
+    old, new = list(was.get("terms") or {}), list(now.get("terms") or {})
+    return new[len(old) :] if new[: len(old)] == old and now.get("history_order") != "time" else []
+
+
+def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str, further: Sequence[str]) -> None:
     for name in _LAYOUT_KEYS:
         if was.get(name) != now.get(name):
             _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
-    _compare_terms(found, was.get("terms") or {}, now.get("terms") or {}, f"{key}.terms", of, _TERM_KEYS, _IGNORED_KEYS)
+    old, new = was.get("terms") or {}, now.get("terms") or {}
+    found.notes.extend(f"{key}.terms.{name} was absent and is new, with weights of 0" for name in further)
+    known = {name: node for name, node in new.items() if name not in further}
+    _compare_terms(found, old, known, f"{key}.terms", of, _TERM_KEYS, _IGNORED_KEYS)
 
 
 def _compare_terms(
@@ -171,8 +183,9 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         # Every checkpoint has a critic entry, so write an empty dictionary if the critic is not copied.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
+        if further := _require_fit(source, config, parts[:2], note):
+            facts["further"] = further
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
-    _require_fit(source, config, parts[:2], note)
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
         path.write_bytes(checkpoint.serialize(part))
@@ -217,17 +230,21 @@ def _find(named: str, root: str) -> _Source:
     return _Source(path, run)
 
 
-def _require_fit(source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]) -> None:
+def _require_fit(
+    source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]
+) -> dict[str, list[str]]:
+    """Raise ConfigError if the networks do not fit; return the new observation terms at the end, by network."""
     if source.run is None:
-        return
+        return {}
     env, agent = load_params(source.run)
     if "actor" not in agent:  # A distillation run has no config section ``actor``, so nothing is compared.
-        return
+        return {}
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
         raise_all(found.mistakes)
     for line in found.notes:
         note(f"note: {line}; the policy of '{source.label}' was trained with the former")
+    return {role: names for role, names in found.further.items() if names}
 
 
 @contextmanager
