@@ -2,14 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from evaluation.synthetic import DT, fall, parts, still, times
 from wheelleg_exp.evaluation import motion_columns
 from wheelleg_exp.evaluation.disturbance_tests import recovery
-from wheelleg_exp.evaluation.metric_catalogue import measured
-from wheelleg_exp.evaluation.motion_columns import Motion
+from wheelleg_exp.evaluation.metric_catalogue import measured, metrics_of
+from wheelleg_exp.evaluation.motion_columns import Motion, getting_up
 from wheelleg_exp.evaluation.protocol_options import Push, Steps, Walk
 from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
@@ -237,3 +238,28 @@ def test_recovery_is_when_tilt_and_height_are_back_for_good():
     assert columns["recovery_s"].tolist()[:2] == pytest.approx([1.0, 3.0])
     assert columns["recovered"].tolist() == [1.0, 0.0, 0.0, 1.0]
     assert columns["recovery_s"][2:].isnan().all()
+
+
+def test_an_impact_is_the_change_of_velocity_within_a_step():
+    made = still(2.0)
+    made.pos[..., 2] = (0.5 * times(made)).clamp(max=0.5).view(-1, 1)  # The base stops from 0.5 m/s after a second.
+    made.torque_rms[30, 0, 1] = 1.0
+    found = getting_up(Motion(made, parts(), 1.0))
+    assert float(found["impact_m_s"]) == pytest.approx(0.5, rel=1e-3)
+    assert float(found["torque_peak_share"]) == pytest.approx(0.5)
+
+
+def test_a_policy_that_gets_up_from_one_side_only_is_found():
+    made = still(5.0, 60)
+    half_turn, quarter = math.pi, math.pi / 2
+    for number, (roll, pitch) in enumerate([(0, 0), (half_turn, 0), (0, quarter), (0, -quarter), (-quarter, 0)]):
+        made.roll[0, 10 * number : 10 * number + 10], made.pitch[0, 10 * number : 10 * number + 10] = roll, pitch
+    made.roll[0, 50:] = quarter
+    side = getting_up(Motion(made, parts(60), 1.0))["side"]
+    assert side.tolist() == [number for number in range(6) for _ in range(10)]
+    columns = {"test": np.array(["get_up"] * 60), "side": side.double().numpy(), "recovered": np.ones(60)}
+    columns["recovered"][40:50] = 0.0
+    found = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("get_up", columns, {})}
+    assert found["get_up/success"] == pytest.approx(5 / 6)
+    assert found["get_up/worst_success"] == 0.0
+    assert found["get_up/success/left"] == 0.0

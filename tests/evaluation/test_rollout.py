@@ -12,11 +12,11 @@ import torch
 from evaluation.conftest import protocol, stub_env, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation.disturbance_tests import margin, world, worlds
+from wheelleg_exp.evaluation.disturbance_tests import disturbances, margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Protocol
-from wheelleg_exp.evaluation.scenarios import Scenarios
+from wheelleg_exp.evaluation.scenarios import Scenarios, in_changed_world
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
 from wheelleg_exp.terms.config_sections import read_section
@@ -176,6 +176,36 @@ def test_a_change_can_delay_actions_and_readings_lose_readings_and_tilt_the_imu(
     assert data.imu_tilt[0, 0, 2].item() == pytest.approx(math.sin(0.05))
     kicked = world(cfg, options.robust, "kick", 0.3)
     assert (kicked.kick, kicked.cfg) == (0.3, cfg)
+
+
+def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
+    """A floor with the acceleration A sin(2πt) has the speed A/π after half a second; a robot in the air does not."""
+    options = read_section(Protocol, protocol("surfaces"), "protocol")
+    assert options.robust is not None
+    changed = world(evaluation_cfg(task[0], options, 2, 1.0, "flat"), options.robust, "platform", 2.0)
+    changed.cfg["events"] = {}  # The task's random forces would move the robot, too.
+    table = in_changed_world(replace(options.robust, episodes=1))
+    rollout = Rollout(build(changed.cfg, task[1], 1), table, options)
+    env = rollout.env
+    env.reset(1)
+    robot, still = env.scene.robot, torch.zeros(2, 6)
+    robot.write_root_pose_to_sim(robot.data.default_root_state[:, :7] + torch.tensor([0.0, 0, 5, 0, 0, 0, 0]))
+    robot.write_root_velocity_to_sim(still)
+    swing = disturbances(rollout, changed)
+    assert swing is not None
+    for step in range(30):
+        swing(step)
+        env.step(torch.zeros(2, 6))
+    moved = robot.data.root_lin_vel_w[:, :2]
+    assert moved.numpy() == pytest.approx(-2.0 / math.pi * np.eye(2), abs=0.02)
+
+
+def test_a_payload_adds_to_the_mass_of_the_base(task):
+    options = read_section(Protocol, protocol("surfaces"), "protocol")
+    assert options.robust is not None
+    loaded = world(evaluation_cfg(task[0], options, 2, 1.0, "flat"), options.robust, "payload", 0.25)
+    masses = build(loaded.cfg, task[1], 1).scene.sim.expanded["body_mass"]
+    assert masses.sum(dim=1).tolist() == pytest.approx([0.75, 0.75], abs=0.031)  # the task's own range is ±0.03 kg
 
 
 def test_combined_changes_act_at_once(task):

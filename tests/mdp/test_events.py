@@ -10,6 +10,7 @@ from sim.small_envs import run
 
 from mdp.nodes import bodies, event, joints
 from wheelleg_exp.mdp import events
+from wheelleg_exp.mdp.root_motion import resting_side
 from wheelleg_exp.sim import rotation
 
 ALL = torch.arange(4)
@@ -406,3 +407,33 @@ def test_everything_returns_to_its_default(make_env, targets):
     torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.0, 0.0, 0.3]))
     assert torch.equal(data.joint_pos_target, data.default_joint_pos) == targets
     assert torch.equal(data.joint_vel_target, data.default_joint_vel) == targets
+
+
+def test_a_robot_rests_in_the_poses_in_which_it_is_laid_down(start_env):
+    node = event("reset_to_resting_pose", mode="reset", num_poses=20)
+    env = start_env(events={"lie": node}, num_envs=30, robot={"actuators": {}})
+    data = env.scene.robot.data
+    start, up = data.root_pos_w.clone(), rotation.quat_to_matrix(data.root_quat_w)[:, :, 2].clone()
+    assert len(up[:, 2].unique()) > 5
+    for _ in range(20):
+        run(env, 1)
+    turned = rotation.quat_to_matrix(data.root_quat_w)[:, :, 2]
+    rests = ((data.root_pos_w - start)[:, 2].abs() < 0.01) & ((turned * up).sum(dim=1) > 0.97)
+    assert float(rests.float().mean()) > 0.9
+
+
+def test_some_robots_keep_the_pose_of_earlier_events(start_env):
+    node = event("reset_to_resting_pose", mode="reset", num_poses=5, share=0.4)
+    env = start_env(events={"lie": node}, num_envs=500)
+    data = env.scene.robot.data
+    stands = (data.root_pos_w[:, 2] - data.default_root_state[:, 2]).abs() < 1e-6
+    assert float(stands.float().mean()) == pytest.approx(0.6, abs=0.07)
+
+
+def test_each_side_on_which_the_robot_can_lie_can_be_equally_likely(start_env):
+    node = event("reset_to_resting_pose", mode="reset", num_poses=40, by_side=True)
+    env = start_env(events={"lie": node}, num_envs=1000)
+    shares = torch.bincount(resting_side(env.scene.robot.data.projected_gravity_b)) / 1000
+    shares = shares[shares > 0]
+    assert len(shares) > 1
+    assert shares.tolist() == pytest.approx([1 / len(shares)] * len(shares), abs=0.06)

@@ -206,3 +206,12 @@ def test_a_value_that_is_not_finite_stays_so():
     nan, inf = rewards.lin_vel_z_l2(fake_env(data_root_lin_vel_b=T([[0.0, 0.0, math.nan], [0.0, 0.0, math.inf]])))
     assert nan.isnan()
     assert inf.isinf()
+
+
+def test_only_an_upright_robot_of_the_right_height_stands():
+    env = fake_env(
+        data_root_pos_w=T([[0.0, 0.0, 0.5], [0.0, 0.0, 0.6], [0.0, 0.0, 0.5], [0.0, 0.0, 0.5]]),
+        data_projected_gravity_b=T([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.0, 1.0]]),
+    )
+    expected = [1.0, math.exp(-0.25), math.exp(-4.0), 0.0]
+    close(rewards.standing_exp(env, target_height=0.5, height_std=0.2, tilt_std=0.3), expected)

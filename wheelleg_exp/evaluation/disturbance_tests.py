@@ -17,8 +17,8 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
-from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout, Tell
-from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, Push, Robust
+from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Rollout, Tell
+from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
 from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
@@ -96,8 +96,8 @@ def push_columns(
     return columns | recovery(made, options, height), made
 
 
-def recovery(made: Trajectories, options: Push, height: torch.Tensor) -> Columns:
-    """Return ``recovery_s`` and ``recovered`` of each episode, given the target height of the base, m, (N,)."""
+def recovery(made: Trajectories, options: Push | GetUp, height: torch.Tensor) -> Columns:
+    """Return ``recovery_s``, ``recovered``, and the largest tilt, given the target height of the base, m, (N,)."""
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
     outside = (tilt >= options.recovered_tilt) | ((made.height - height).abs() >= options.recovered_height)
@@ -120,13 +120,14 @@ class World:
     """A variant of the simulation in the robustness test, with its own config section ``env``.
 
     ``kick`` is the change of the robot's speed at the time ``KICK_S``, m/s: forwards in even episodes, backwards in odd
-    ones.
+    ones. ``platform`` is the peak acceleration of a swinging floor, m/s².
     """
 
     sweep: str
     value: float
     cfg: dict[str, Any] = field(repr=False)
     kick: float = 0.0
+    platform: float = 0.0
 
 
 def worlds(cfg: Mapping[str, Any], options: Robust) -> Iterator[World]:
@@ -142,17 +143,21 @@ def worlds(cfg: Mapping[str, Any], options: Robust) -> Iterator[World]:
         both = copy.deepcopy(dict(cfg))
         for name, value in options.combined.items():
             both = changed(both, options, name, value)
-        yield World("combined", 1.0, both, options.combined.get("kick", 0.0))
+        yield World("combined", 1.0, both, *(options.combined.get(name, 0.0) for name in ("kick", "platform")))
 
 
 def world(cfg: Mapping[str, Any], options: Robust, name: str, value: float) -> World:
     """Return the simulation in which the property ``name``, such as ``friction``, has the given value."""
     cfg = changed(copy.deepcopy(dict(cfg)), options, name, value)
-    return World(name.removesuffix("_s"), value, cfg, value if name == "kick" else 0.0)
+    kick, platform = (value if name == moving else 0.0 for moving in ("kick", "platform"))
+    return World(name.removesuffix("_s"), value, cfg, kick, platform)
 
 
 def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> dict[str, Any]:
-    """Return the config section ``env`` in which the property ``name`` has the given value; a kick changes nothing."""
+    """Return the config section ``env`` in which the property ``name`` has the given value.
+
+    Kicks and platforms do not change the config: ``disturbances`` simulates them.
+    """
     pair, zero = [value, value], [0.0, 0.0]
     if name == "friction":
         cfg["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
@@ -161,6 +166,9 @@ def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> di
         return _with_event(cfg, "rigid_body_material", ranges | {"num_buckets": 1})
     if name == "mass":
         return _with_event(cfg, "rigid_body_mass", {"mass_distribution_params": pair, "operation": "scale"})
+    if name == "payload":
+        added = {"mass_distribution_params": pair, "operation": "add"}
+        return _with_event(cfg, "rigid_body_mass", added, body_ids=[0])
     if name == "com":
         shift = {"x": pair, "y": zero, "z": zero}
         return _with_event(cfg, "rigid_body_com", {"com_range": shift}, body_ids=[0])
@@ -221,9 +229,27 @@ def margin(survival: Callable[[float], float], highest: float, options: Robust, 
     return low
 
 
-def kick(rollout: Rollout, speed: float) -> Callable[[int], None]:
-    """Return a callback that changes each robot's speed by ``speed``, m/s, at ``KICK_S``, in turns by ±x."""
+PLATFORM_HZ = 1.0  # frequency of a swinging floor
+
+
+def disturbances(rollout: Rollout, changed: World) -> Disturb | None:
+    """Return a callback that kicks the robots and accelerates the floor before each control step.
+
+    A kick changes a robot's speed at the time ``KICK_S``, in turns by ±x. The floor swings along the world's x axis in
+    even episodes, along y in odd ones. In the axes of a floor with the acceleration a, gravity is g - a. Sensors of
+    gravity show the vertical, as filters do that also use the gyroscope.
+    """
     env, start = rollout.env, round(KICK_S / rollout.env.step_dt)
-    signs = 1.0 - 2.0 * (torch.arange(env.num_envs, device=env.device) % 2)
-    change = torch.stack((speed * signs, torch.zeros_like(signs)), dim=1)
-    return lambda step: add_velocity(env, change) if step == start else None
+    odd = (torch.arange(env.num_envs, device=env.device) % 2).float()
+    change = torch.stack((changed.kick * (1.0 - 2.0 * odd), torch.zeros_like(odd)), dim=1)
+    axes = torch.stack((1 - odd, odd, torch.zeros_like(odd)), dim=1)
+    down = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)
+
+    def disturb(step: int) -> None:
+        if changed.kick and step == start:
+            add_velocity(env, change)
+        if changed.platform:
+            swing = changed.platform * math.sin(2.0 * math.pi * PLATFORM_HZ * step * env.step_dt)
+            env.scene.sim.expand("opt.gravity").copy_(down - swing * axes)
+
+    return disturb if changed.kick or changed.platform else None

@@ -19,6 +19,7 @@ import torch
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion, fast_share
 from wheelleg_exp.evaluation.result import Figure
 from wheelleg_exp.managers.streams import stream_seed
+from wheelleg_exp.mdp.root_motion import SIDES
 
 Array = np.ndarray[Any, Any]
 Reduce = Callable[[Sequence[Array]], Array]
@@ -362,6 +363,21 @@ def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield Metric("push/tilt", test, ("push_tilt_rad",), mean, "rad")
 
 
+def _of_getting_up(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "get_up", "higher"
+    yield Metric("get_up/success", test, ("recovered",), mean, better=better)
+    yield Metric("get_up/worst_success", test, ("side", "recovered"), worst_mean, better=better)
+    for number, side in enumerate(SIDES):
+        rows = partial(matching, side=float(number))
+        yield Metric(f"get_up/success/{side}", test, ("recovered",), mean, better=better, rows=rows)
+        yield Metric(f"get_up/time/{side}", test, ("recovery_s",), mean, "s", rows=rows)
+    yield Metric("get_up/time", test, ("recovery_s",), mean, "s")
+    yield Metric("get_up/impact", test, ("impact_m_s",), mean, "m/s")
+    yield Metric("get_up/impact_worst", test, ("impact_m_s",), worst, "m/s")
+    yield Metric("get_up/torque_peak_share", test, ("torque_peak_share",), worst)
+    yield from _shared_metrics(test, columns, everything)
+
+
 def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
     test, better = "terrain", "higher"
     yield from _survival(test, columns)
@@ -399,6 +415,7 @@ def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 _MARGIN_UNITS = {"delay_s": "s", "reading_delay_s": "s", "imu_tilt": "rad", "gyro_bias": "rad/s"}
 _MARGIN_UNITS |= {"encoder_offset": "rad", "slope": "rad", "kick": "m/s", "com": "m"}
+_MARGIN_UNITS |= {"payload": "kg", "platform": "m/s²"}
 
 
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
@@ -423,6 +440,7 @@ _WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] =
     "stand": _of_standing,
     "steps": _of_steps,
     "push": _of_pushing,
+    "get_up": _of_getting_up,
     "strip": _of_strips,
     "robust": _of_worlds,
 }

@@ -15,6 +15,7 @@ import torch
 from wheelleg_exp.evaluation.evaluation_env import RobotParts
 from wheelleg_exp.evaluation.protocol_options import Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
+from wheelleg_exp.mdp.root_motion import resting_side
 
 Columns = dict[str, torch.Tensor]
 _SPEED_HZ = 10.0  # Signal power above 10 Hz counts as chatter, because a robot moves at a few hertz.
@@ -271,6 +272,26 @@ def group_effort(motion: Motion) -> Columns:
         columns[f"saturation_{name}"] = motion.mean(saturated)
         columns[f"saturation_max_{name}"] = torch.stack([motion.mean(one) for one in saturated.unbind(-1)]).amax(dim=0)
     return columns
+
+
+def getting_up(motion: Motion) -> Columns:
+    """Return the side on which each robot lies at the start, its largest impact, and its largest torque, (N,) each.
+
+    ``side`` is the index in ``SIDES`` after the first control step. ``impact_m_s`` is the largest change of the base's
+    velocity within a control step, m/s. ``torque_peak_share`` is the largest RMS torque of a joint in a control step,
+    as a share of its effort limit.
+    """
+    made = motion.made
+    counted, roll, pitch = made.counted(0.0), made.roll[0], made.pitch[0]
+    gravity = torch.stack((pitch.sin(), -roll.sin() * pitch.cos(), -roll.cos() * pitch.cos()), dim=1)
+    change = torch.zeros_like(made.height)
+    change[2:] = torch.linalg.vector_norm(made.pos.diff(n=2, dim=0), dim=-1) / made.dt
+    share = made.torque_rms / motion.parts.effort_limit
+    return {
+        "side": resting_side(gravity),
+        "impact_m_s": largest(change, counted),
+        "torque_peak_share": largest(share.amax(dim=-1), counted),
+    }
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:

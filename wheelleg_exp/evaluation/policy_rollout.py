@@ -7,6 +7,7 @@ fixes the values that the task's velocity command would draw randomly.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -68,7 +69,9 @@ class Rollout:
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
         self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
         self._held = HeldCommand(env, protocol.command)
-        self._fall_tilt, self._force = protocol.fall_tilt, protocol.contact_force
+        # A robot that gets up starts with any tilt, and may fall back.
+        self._fall_tilt = math.inf if scenarios.test == "get_up" else protocol.fall_tilt
+        self._force = protocol.contact_force
         self._meter = EffortMeter(env, protocol.saturation, protocol.torque_deadband, env.physics_dt)
         self._settle_steps = round(protocol.settle_s / env.step_dt)
         self._commands = scenarios.commands().to(env.device)

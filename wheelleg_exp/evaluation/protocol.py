@@ -13,7 +13,7 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
-from wheelleg_exp.evaluation.disturbance_tests import World, kick, margin, push_columns, world, worlds
+from wheelleg_exp.evaluation.disturbance_tests import World, disturbances, margin, push_columns, recovery, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg, target_height
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
@@ -108,6 +108,7 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
     "walk": scenarios.walking,
     "steps": scenarios.stepping,
     "push": scenarios.pushing,
+    "get_up": scenarios.getting_up,
     "terrain": scenarios.on_terrain,
     "strip": scenarios.over_strips,
     "robust": scenarios.in_changed_world,
@@ -140,6 +141,10 @@ def _placed(subject: Subject, table: Scenarios) -> Rollout:
         rollout = subject.rollout(table, cfg)
         terrain_tests.place_before_strip(rollout, options.strip)
         return rollout
+    if table.test == "get_up" and options.get_up is not None:
+        target = "wheelleg_exp.mdp.events.reset_to_resting_pose"
+        lying = {"_target_": target, "mode": "reset", "by_side": True, "num_poses": options.get_up.num_poses}
+        cfg |= {"events": {**cfg["events"], "evaluation_lying": lying}, "terminations": {}}
     return subject.rollout(table, cfg)
 
 
@@ -175,8 +180,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
 
 def _rolled(subject: Subject, table: Scenarios, changed: World) -> tuple[Rollout, Trajectories]:
     rollout = subject.rollout(table, changed.cfg)
-    disturb = kick(rollout, changed.kick) if changed.kick else None
-    return rollout, rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturb)
+    made = rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturbances(rollout, changed))
+    return rollout, made
 
 
 def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
@@ -192,6 +197,9 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     if test == "steps" and options.steps is not None:
         commands = rollout.scenarios.commands()[:, 1].to(made.command.device)
         columns |= motion_columns.responses(made, options.steps, commands)
+    if test == "get_up" and options.get_up is not None:
+        stands = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
+        columns |= recovery(made, options.get_up, stands) | motion_columns.getting_up(motion)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:

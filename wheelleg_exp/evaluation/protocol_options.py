@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from wheelleg_exp.constraints import Broken, Count, Length, NonNegative, NotEmpty, Positive, Seed, Share, relation
@@ -26,10 +26,11 @@ def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
     lengths = {f"{test}.horizon_s": protocol[test]["horizon_s"] for test in tests if protocol[test] is not None}
     if (steps := protocol["steps"]) is not None:
         lengths["steps.drive_s"] = steps["stand_s"] + 3 * steps["drive_s"]
-    if (push := protocol["push"]) is not None:
-        lengths["push.after_s"] = push["at_s"] + push["after_s"]
+    for test in ("push", "get_up"):
+        if (options := protocol[test]) is not None:
+            lengths[f"{test}.after_s"] = options["at_s"] + options["after_s"]
     if not lengths:
-        expected = "one of stand, walk, steps, push, terrain, strip, robust that is not null"
+        expected = "one of stand, walk, steps, push, get_up, terrain, strip, robust that is not null"
         yield Broken("", "the protocol has no test", expected)
     for key, seconds in lengths.items():
         if seconds <= settle:
@@ -133,6 +134,31 @@ class Push:
 
 
 @dataclass(frozen=True)
+class GetUp:
+    """``protocol.get_up``: getting up from poses in which the limp robot came to rest.
+
+    Attributes:
+        episodes: number of episodes.
+        num_poses: number of resting poses.
+        at_s: start of the time to get up, s.
+        after_s: duration of an episode from then on, s.
+        recovered_tilt: largest tilt of a standing robot, rad.
+        recovered_height: largest distance of a standing robot's base from its target height, m.
+        recovered_s: shortest time for which the robot must stand at the end, s.
+        within_s: longest time to get up, s.
+    """
+
+    episodes: Count
+    num_poses: Count
+    at_s: NonNegative
+    after_s: Positive
+    recovered_tilt: Positive
+    recovered_height: Positive
+    recovered_s: NonNegative
+    within_s: Positive
+
+
+@dataclass(frozen=True)
 class Terrain:
     """``protocol.terrain``: driving straight on one tile per episode, by kind and level.
 
@@ -208,7 +234,7 @@ KICK_S, AFTER_KICK_S = 2.0, 2.0  # s; time of the kick from the start of the epi
 # The properties that the robustness test changes, in the order of the results.
 PROPERTIES = (
     *("friction", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
-    *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick"),
+    *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick", "payload", "platform"),
 )
 # A property that is unchanged at 0 has a margin: the largest change that a policy survives.
 _WITH_MARGIN = tuple(name for name in PROPERTIES if name not in ("friction", "mass", "gains"))
@@ -253,6 +279,8 @@ class Robust:
         encoder_offset: each joint's encoder has an offset that is drawn from ± this value, rad.
         slope: slope of the floor in a random direction, rad.
         kick: change of the speed forwards, and in every second episode backwards, m/s.
+        payload: mass that is added to the base, kg.
+        platform: peak acceleration of a floor that swings to and fro, m/s²; docs/evaluation.md has the frequency.
         combined: several of these changes at once, by name.
         margins: the changes whose largest survived value is searched, each with the largest value to try.
         margin_survival: share of episodes that must survive a value.
@@ -280,6 +308,8 @@ class Robust:
     margins: dict[str, Positive] | None
     margin_survival: Share
     margin_iterations: Count
+    payload: list[NonNegative] = field(default_factory=list)
+    platform: list[NonNegative] = field(default_factory=list)
 
 
 @relation(_something_counts)
@@ -304,6 +334,7 @@ class Protocol:
         walk: the grid of commands.
         steps: responses to command steps.
         push: recovery from pushes.
+        get_up: getting up from resting poses.
         terrain: driving over tiles of rough ground.
         strip: driving from level ground over rough ground and back.
         robust: standing and driving in a changed world.
@@ -325,6 +356,7 @@ class Protocol:
     walk: Walk | None = None
     steps: Steps | None = None
     push: Push | None = None
+    get_up: GetUp | None = None
     terrain: Terrain | None = None
     strip: Strip | None = None
     robust: Robust | None = None

@@ -9,7 +9,16 @@ from itertools import product
 
 import torch
 
-from wheelleg_exp.evaluation.protocol_options import Push, Robust, Stand, Steps, Strip, Terrain, Walk
+from wheelleg_exp.evaluation.protocol_options import (
+    GetUp,
+    Push,
+    Robust,
+    Stand,
+    Steps,
+    Strip,
+    Terrain,
+    Walk,
+)
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -76,6 +85,12 @@ def stepping(options: Steps) -> Scenarios:
     return Scenarios("steps", begin + 3 * drive, times, cells, names, options.episodes)
 
 
+def getting_up(options: GetUp) -> Scenarios:
+    """Return a table of episodes that start in resting poses and have a zero command."""
+    horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
+    return Scenarios("get_up", horizon, (0.0,), ((ZERO,),), ("lying",), options.episodes, settings)
+
+
 def pushing(options: Push) -> Scenarios:
     """Return a table of standing episodes with pushes, one group (cell) for each push direction and duration."""
     turns = [f"{360.0 * turn / options.directions:g}°" for turn in range(options.directions)]
@@ -106,5 +121,7 @@ def in_changed_world(options: Robust) -> Scenarios:
     """Return the episodes of one changed world: driving straight at each speed."""
     cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
     names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
-    settings = json.dumps(asdict(options))
+    # Tables without payloads and platforms have the digests that they had before these changes existed.
+    given = {name: value for name, value in asdict(options).items() if value or name not in ("payload", "platform")}
+    settings = json.dumps(given)
     return Scenarios("robust", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)

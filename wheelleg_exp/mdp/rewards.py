@@ -116,6 +116,19 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
     return torch.exp(-((height - target_height) / std).square())
 
 
+def standing_exp(
+    env: Env, target_height: float, height_std: Positive, tilt_std: Positive, asset_cfg: SceneEntityCfg = _ROBOT
+) -> torch.Tensor:
+    """exp(-(h - target)^2 / height_std^2 - s^2 / tilt_std^2); 0 upside down. Not in Isaac Lab.
+
+    h is the height of the root link above the ground straight below, m, and s the sine of the tilt. Unlike the sum of a
+    reward for the height and one for the tilt, the product pays only a robot that stands.
+    """
+    height = base_height_exp(env, target_height, height_std, asset_cfg)
+    upright = env.scene[asset_cfg.name].data.projected_gravity_b[:, 2] < 0.0
+    return height * flat_orientation_exp(env, tilt_std, asset_cfg) * upright
+
+
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the norms of the linear accelerations of the selected bodies, m/s^2.
 

@@ -1,4 +1,4 @@
-"""Shared computations of several terms: height above the ground, tilt, and level velocity."""
+"""Shared computations of several terms: height above the ground, tilt, resting side, and level velocity."""
 
 from __future__ import annotations
 
@@ -22,6 +22,18 @@ def roll_pitch(projected_gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Ten
     """
     x, y, z = projected_gravity.unbind(dim=1)
     return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
+
+
+SIDES = ("upright", "upside_down", "face", "back", "left", "right")
+
+
+def resting_side(projected_gravity: torch.Tensor) -> torch.Tensor:
+    """Return the index in ``SIDES`` of the side on which each link lies, (N,).
+
+    ``projected_gravity`` are unit vectors of gravity (N, 3) in the link's axes: x forwards, y to the left, z up.
+    """
+    x, y, z = projected_gravity.unbind(dim=1)
+    return torch.stack((-z, z, x, -x, y, -y)).argmax(dim=0)
 
 
 def level_velocity(data: Any) -> tuple[torch.Tensor, torch.Tensor]:

@@ -40,6 +40,7 @@ from wheelleg_exp.mdp.events.resets import (
     reset_root_state_uniform,
     reset_root_state_with_random_orientation,
     reset_scene_to_default,
+    reset_to_resting_pose,
 )
 
 # ``ABSENT`` gives the reason why an event term of Isaac Lab does not exist in this package.

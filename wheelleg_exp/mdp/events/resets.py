@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
+import mujoco
 import torch
 
-from wheelleg_exp.constraints import Interval
+from wheelleg_exp.constraints import Count, Interval, Positive, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.randomization import POSE, PoseRange, all_ids
+from wheelleg_exp.mdp.root_motion import resting_side
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import picked
 
@@ -65,6 +67,73 @@ class reset_root_state_with_random_orientation(reset_root_state_uniform):
     def orientation(self, default: torch.Tensor, euler: torch.Tensor) -> torch.Tensor:
         del default
         return rotation.random_quat(len(euler), self._generator)
+
+
+def _drop(model: mujoco.MjModel, addresses: list[int], start: list[float], seconds: float) -> list[float]:
+    """Return the positions at ``addresses`` of ``qpos`` after a fall from ``start`` without torques of motors."""
+    limp, flags = mujoco.MjData(model), model.opt.disableflags
+    limp.qpos[addresses] = start
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    mujoco.mj_step(model, limp, round(seconds / model.opt.timestep))
+    model.opt.disableflags = flags
+    return list(map(float, limp.qpos[addresses]))
+
+
+class reset_to_resting_pose(TermBase):
+    """Lay the robot on level ground in a random pose in which the limp robot came to rest. Not in Isaac Lab.
+
+    The term drops the robot ``num_poses`` times, without torques, in random orientations and with random positions of
+    the limited joints. Each reset selects a resting pose and a heading. Checkpoints contain the poses.
+
+    Args:
+        share: share of resets that lay the robot down; the others leave the pose that earlier events have set.
+        by_side: whether each side on which the robot can lie is equally likely, instead of each pose.
+        num_poses: number of drops.
+        drop_height: height of the root link at the start of a drop, m.
+        drop_s: duration of a drop, s.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        generator: torch.Generator,
+        share: Share = 1.0,
+        by_side: bool = False,
+        num_poses: Count = 256,
+        drop_height: Positive = 0.15,
+        drop_s: Positive = 3.0,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._robot, self._generator, self._share = env.scene[asset_cfg.name], generator, share
+        layout, model = self._robot.layout, env.scene.model
+        root = int(model.jnt_qposadr[model.body_jntadr[int(layout.body_ids[0])]])
+        addresses = [*range(root, root + 7), *layout.qpos_ids.tolist()]
+        limits = layout.joint_pos_limits
+        low, high = torch.where(limits.isfinite(), limits, 0.0).unbind(dim=1)
+        position = torch.tensor([[0.0, 0.0, drop_height]], device=env.device).expand(num_poses, 3)
+        turns = rotation.random_quat(num_poses, generator)
+        starts = torch.cat((position, turns, rotation.uniform(low, high, num_poses, generator)), dim=1)
+        rests = [_drop(model, addresses, start, drop_s) for start in starts.tolist()]
+        # The root's height, m, its quaternion, and the joint positions, rad, (num_poses, 5 + J).
+        self.poses = torch.tensor(rests, device=env.device)[:, 2:]
+        sides = resting_side(-rotation.quat_to_matrix(self.poses[:, 1:5])[:, 2])
+        counts = torch.bincount(sides)[sides] if by_side else torch.ones_like(sides)
+        self._weights = (1.0 / counts,)  # a tuple, because checkpoints save all tensor attributes
+
+    def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
+        ids = all_ids(env, env_ids)
+        device = self.poses.device
+        lies = torch.rand(len(ids), generator=self._generator, device=device) < self._share
+        drawn = torch.multinomial(self._weights[0], max(1, len(ids)), replacement=True, generator=self._generator)
+        ids, pose = ids[lies], self.poses[drawn[: len(ids)][lies]]
+        n = len(ids)
+        yaw = torch.pi * (2.0 * torch.rand(n, generator=self._generator, device=device) - 1.0)
+        zero = torch.zeros_like(yaw)
+        position = env.scene.env_origins[ids] + torch.stack((zero, zero, pose[:, 0]), dim=1)
+        turned = rotation.quat_mul(rotation.quat_from_euler_xyz(zero, zero, yaw), pose[:, 1:5])
+        self._robot.write_root_pose_to_sim(torch.cat((position, turned), dim=1), ids)
+        self._robot.write_root_velocity_to_sim(torch.zeros(n, 6, device=device), ids)
+        self._robot.write_joint_state_to_sim(pose[:, 5:], torch.zeros_like(pose[:, 5:]), env_ids=ids)
 
 
 class reset_root_state_from_terrain(TermBase):
