@@ -21,12 +21,12 @@ PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
 # Each kind of Hydra override, alone and in combination.
 RECIPES = {
     "leaves": [
-        "env.rewards.alive.weight=-30", "env.rewards.alive.weight=-20", "+env.actions.leg_pos.offset=0.5",
-        "++env.rewards.alive.extra={deep: {er: 1}}", "hydra.searchpath=[]",
+        "env.rewards.lin_vel_z.weight=-30", "env.rewards.lin_vel_z.weight=-20", "+env.actions.leg_pos.offset=0.5",
+        "++env.rewards.lin_vel_z.extra={deep: {er: 1}}", "hydra.searchpath=[]",
     ],
     "lists and nulled terms": [
         "env.robot.joint_order.1=z", "env.sim.gravity=[0,0,-1]", "recording.env_ids=[]",
-        "env.events.push_robot=null", "env.rewards.alive=null", "env.rewards.alive={weight: 3}",
+        "env.events.push_robot=null", "env.rewards.lin_vel_z=null", "env.rewards.lin_vel_z={weight: 3}",
     ],
     "keys with dots, interpolations, and new terms": [
         "++env.robot.init_state.joint_pos={left.04: 0.5}", "env.decimation=${seed}", "seed=${env.sim.nthread}",
@@ -34,13 +34,13 @@ RECIPES = {
         "+reward@env.rewards=[action_rate,joint_torques]",
     ],
     "other lists of terms": [
-        "reward@env.rewards=[terminating,alive]", "action@env.actions=[wheel_vel,leg_pos]", "event@env.events=[]",
+        "reward@env.rewards=[terminating,lin_vel_z]", "action@env.actions=[wheel_vel,leg_pos]", "event@env.events=[]",
     ],
-    "deleted terms and leaves": ["~env.events.push_robot", "~env.rewards.alive.weight", "~env.decimation=2"],
+    "deleted terms and leaves": ["~env.events.push_robot", "~env.rewards.lin_vel_z.weight", "~env.decimation=2"],
     "deleted and added": [
-        "~env.rewards.alive",
-        "+env.rewards.alive={_target_: wheelleg_exp.mdp.rewards.is_alive}",
-        *(f"~env.terminations.{name}" for name in ("time_out", "base_contact", "leg_contact", "non_finite_state")),
+        "~env.rewards.lin_vel_z",
+        "+env.rewards.lin_vel_z={_target_: wheelleg_exp.mdp.rewards.lin_vel_z_l2}",
+        *(f"~env.terminations.{name}" for name in ("time_out", "non_finite_state")),
     ],
     "another option, a leaf of it, no group": ["robot=physical", "env.robot.actuators.legs.armature=0.1", "~run"],
     "options that extend others": ["robot=explicit", "sim=fine", "env.decimation=8"],
@@ -77,7 +77,7 @@ def test_every_leaf_of_a_primary_is_hydras(primary):
 @pytest.mark.parametrize("task", TASKS)
 def test_the_line_of_a_leaf_contains_its_value(task):
     places = compose_raw([f"task={task}"])
-    assert configs_dir() / "reward" / "alive.yaml" in {source.file for source in places.values()}
+    assert configs_dir() / "reward" / "lin_vel_z.yaml" in {source.file for source in places.values()}
     for path, source in places.items():
         line = source.file.read_text(encoding="utf-8").splitlines()[source.line - 1]
         assert path.removesuffix("]").rsplit(".", 1)[-1] in line or f'"{path.rsplit("[", 1)[-1][:-1]}"' in line
