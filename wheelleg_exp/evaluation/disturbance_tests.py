@@ -243,13 +243,16 @@ def disturbances(rollout: Rollout, changed: World) -> Disturb | None:
     odd = (torch.arange(env.num_envs, device=env.device) % 2).float()
     change = torch.stack((changed.kick * (1.0 - 2.0 * odd), torch.zeros_like(odd)), dim=1)
     axes = torch.stack((1 - odd, odd, torch.zeros_like(odd)), dim=1)
-    down = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)
+    down: list[torch.Tensor] = []  # gravity after the reset, which can tilt it
 
     def disturb(step: int) -> None:
         if changed.kick and step == start:
             add_velocity(env, change)
         if changed.platform:
+            gravity = env.scene.sim.expand("opt.gravity")
+            if step == 0:
+                down[:] = [gravity.clone()]
             swing = changed.platform * math.sin(2.0 * math.pi * PLATFORM_HZ * step * env.step_dt)
-            env.scene.sim.expand("opt.gravity").copy_(down - swing * axes)
+            gravity.copy_(down[0] - swing * axes)
 
     return disturb if changed.kick or changed.platform else None

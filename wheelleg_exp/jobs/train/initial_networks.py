@@ -92,7 +92,7 @@ def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str, further:
         if was.get(name) != now.get(name):
             _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
     old, new = was.get("terms") or {}, now.get("terms") or {}
-    found.notes.extend(f"{key}.terms.{name} was absent and is new, with weights of 0" for name in further)
+    found.notes.extend(f"{key}.terms.{name} was absent and is new (its weights start at 0)" for name in further)
     known = {name: node for name, node in new.items() if name not in further}
     _compare_terms(found, old, known, f"{key}.terms", of, _TERM_KEYS, _IGNORED_KEYS)
 
@@ -184,6 +184,9 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         if further := _require_fit(source, config, parts[:2], note):
+            if "optimizer" in parts:
+                message = f"the optimiser of '{source.label}' does not know the new observations"
+                raise ConfigError(message, key=WHAT, expected="networks or policy")
             facts["further"] = further
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:

@@ -74,8 +74,10 @@ def _drop(model: mujoco.MjModel, addresses: list[int], start: list[float], secon
     limp, flags = mujoco.MjData(model), model.opt.disableflags
     limp.qpos[addresses] = start
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    mujoco.mj_step(model, limp, round(seconds / model.opt.timestep))
-    model.opt.disableflags = flags
+    try:
+        mujoco.mj_step(model, limp, round(seconds / model.opt.timestep))
+    finally:
+        model.opt.disableflags = flags
     return list(map(float, limp.qpos[addresses]))
 
 
