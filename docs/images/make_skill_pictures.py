@@ -18,7 +18,7 @@ PLAY = ("play", "stock:get_up", "env.num_envs=1", f"seed={SEED}", "env.episode_l
 
 
 def main() -> None:
-    """Play the policy in a temporary folder, and write the film beside this file."""
+    """Play the policy in a temporary folder, and write the film to this folder."""
     with tempfile.TemporaryDirectory() as folder:
 
         def wheelleg(*words: str) -> None:

@@ -198,8 +198,8 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
         commands = rollout.scenarios.commands()[:, 1].to(made.command.device)
         columns |= motion_columns.responses(made, options.steps, commands)
     if test == "get_up" and options.get_up is not None:
-        stands = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
-        columns |= recovery(made, options.get_up, stands) | motion_columns.getting_up(motion)
+        height = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
+        columns |= recovery(made, options.get_up, height) | motion_columns.getting_up(motion)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:

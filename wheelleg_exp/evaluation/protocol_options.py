@@ -250,6 +250,8 @@ def _changes_are_known(robust: Mapping[str, Any]) -> Iterator[Broken]:
                 yield Broken(f"{key}.{name}", f"there is no such change{hint}", "one of " + ", ".join(known))
             elif value_errors(name, [value], annotation):
                 yield Broken(f"{key}.{name}", f"{value} is out of range", f"a value that robust.{name} accepts")
+    if {"mass", "payload"} <= {*(robust["combined"] or {})}:
+        yield Broken("combined.payload", "a payload would replace the change of mass", "one of mass, payload")
     kicks = robust["kick"] or "kick" in {**(robust["combined"] or {}), **(robust["margins"] or {})}
     if kicks and robust["horizon_s"] < KICK_S + AFTER_KICK_S:
         message = f"an episode of {robust['horizon_s']:g} s ends too early after the kick at {KICK_S:g} s"

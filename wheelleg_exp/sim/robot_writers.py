@@ -114,7 +114,7 @@ class RobotWriters(Kept):
 
     def write_root_pose_to_sim(self, root_pose: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the pose (n, 7) of the root link."""
-        self._require_floating()
+        self.require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         pose = root_pose.to(dtype)
         unit = pose[:, 3:7] / torch.linalg.vector_norm(pose[:, 3:7], dim=1, keepdim=True).clamp_(min=1e-12)
@@ -133,7 +133,7 @@ class RobotWriters(Kept):
 
     def write_root_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the velocity (n, 6) of the root body's centre of mass, given the root's present orientation."""
-        self._require_floating()
+        self.require_floating()
         ids, dtype = self._rows(env_ids), self._sim.dtype
         velocity = root_velocity.to(dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos.index_select(0, ids)[:, 3:7])
@@ -146,7 +146,7 @@ class RobotWriters(Kept):
 
     def write_root_link_velocity_to_sim(self, root_velocity: torch.Tensor, env_ids: Ids = None) -> None:
         """Set the velocity (n, 6) of the root link's origin, given the root's present orientation."""
-        self._require_floating()
+        self.require_floating()
         ids, velocity = self._rows(env_ids), root_velocity.to(self._sim.dtype)
         matrix = rotation.quat_to_matrix(self._root_qpos[ids, 3:7])
         self._write_velocity(ids, velocity[:, 0:3], rotation.rotate_inverse(matrix, velocity[:, 3:6]))
@@ -274,7 +274,8 @@ class RobotWriters(Kept):
     def _rows(self, env_ids: Ids) -> torch.Tensor:
         return chosen(env_ids, self._all_ids)
 
-    def _require_floating(self) -> None:
+    def require_floating(self) -> None:
+        """Raise ConfigError if the robot has a fixed base."""
         if self.is_fixed_base:
             message = "the robot's base is fixed, so its root cannot be moved"
             raise ConfigError(message, expected="terms that do not move the root, or env.robot.base=floating")

@@ -85,7 +85,7 @@ class reset_to_resting_pose(TermBase):
     """Lay the robot on level ground in a random pose in which the limp robot came to rest. Not in Isaac Lab.
 
     The term drops the robot ``num_poses`` times, without torques, in random orientations and with random positions of
-    the limited joints. Each reset selects a resting pose and a heading. Checkpoints contain the poses.
+    the limited joints. Each reset selects a resting pose and a heading. Checkpoints contain the poses and their weights.
 
     Args:
         share: share of resets that lay the robot down; the others leave the pose that earlier events have set.
@@ -107,6 +107,7 @@ class reset_to_resting_pose(TermBase):
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
         self._robot, self._generator, self._share = env.scene[asset_cfg.name], generator, share
+        self._robot.require_floating()
         layout, model = self._robot.layout, env.scene.model
         root = int(model.jnt_qposadr[model.body_jntadr[int(layout.body_ids[0])]])
         addresses = [*range(root, root + 7), *layout.qpos_ids.tolist()]
@@ -120,13 +121,13 @@ class reset_to_resting_pose(TermBase):
         self.poses = torch.tensor(rests, device=env.device)[:, 2:]
         sides = resting_side(-rotation.quat_to_matrix(self.poses[:, 1:5])[:, 2])
         counts = torch.bincount(sides)[sides] if by_side else torch.ones_like(sides)
-        self._weights = (1.0 / counts,)  # a tuple, because checkpoints save all tensor attributes
+        self.weights = 1.0 / counts
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids = all_ids(env, env_ids)
         device = self.poses.device
         lies = torch.rand(len(ids), generator=self._generator, device=device) < self._share
-        drawn = torch.multinomial(self._weights[0], max(1, len(ids)), replacement=True, generator=self._generator)
+        drawn = torch.multinomial(self.weights, max(1, len(ids)), replacement=True, generator=self._generator)
         ids, pose = ids[lies], self.poses[drawn[: len(ids)][lies]]
         n = len(ids)
         yaw = torch.pi * (2.0 * torch.rand(n, generator=self._generator, device=device) - 1.0)
