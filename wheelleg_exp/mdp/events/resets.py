@@ -85,7 +85,7 @@ class reset_to_resting_pose(TermBase):
     """Lay the robot on level ground in a random pose in which the limp robot came to rest. Not in Isaac Lab.
 
     The term drops the robot ``num_poses`` times, without torques, in random orientations and with random positions of
-    the limited joints. Each reset selects a resting pose and a heading. Checkpoints contain the poses and their weights.
+    the limited joints. Each reset selects a resting pose and a heading. Checkpoints store poses and weights.
 
     Args:
         share: share of resets that lay the robot down; the others leave the pose that earlier events have set.
