@@ -10,8 +10,8 @@ from evaluation.synthetic import DT, fall, parts, still, times
 from wheelleg_exp.evaluation import motion_columns
 from wheelleg_exp.evaluation.disturbance_tests import recovery
 from wheelleg_exp.evaluation.metric_catalogue import measured, metrics_of
-from wheelleg_exp.evaluation.motion_columns import Motion, getting_up
-from wheelleg_exp.evaluation.protocol_options import Push, Steps, Walk
+from wheelleg_exp.evaluation.motion_columns import Motion, impact, jump, rest
+from wheelleg_exp.evaluation.protocol_options import Jump, Push, Steps, Walk
 from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
 WALK = Walk(
@@ -240,11 +240,29 @@ def test_recovery_is_when_tilt_and_height_are_back_for_good():
     assert columns["recovery_s"][2:].isnan().all()
 
 
+def test_a_ballistic_jump_has_the_clearance_time_and_span_of_the_closed_form():
+    made, speed, forwards = still(6.0, 2), 1.0, 0.3
+    time = (times(made) - 3.0).clamp(min=0.0)
+    height = (speed * time - 9.81 * time**2 / 2).clamp(min=0.0)
+    made.clearance[:] = height.view(-1, 1, 1)
+    made.clearance[:, 1, 0] = 0.0  # The second robot lifts only one wheel.
+    made.down[:] = made.clearance <= 0.0
+    made.pos[..., 0] = forwards * times(made).unsqueeze(1)
+    options = Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5)
+    found = jump(Motion(made, parts(2), 1.0), options)
+    assert found["clearance_m"].tolist() == pytest.approx([speed**2 / (2 * 9.81), 0.0], abs=1e-3)
+    assert found["air_s"].tolist() == pytest.approx([2 * speed / 9.81, 0.0], abs=0.02)
+    above = 2 * math.sqrt(speed**2 - 2 * 9.81 * 0.02) / 9.81
+    assert found["span_m"].tolist() == pytest.approx([forwards * above, 0.0], abs=0.01)
+    assert found["jumped"].tolist() == [1.0, 0.0]
+
+
 def test_an_impact_is_the_change_of_velocity_within_a_step():
     made = still(2.0)
-    made.pos[..., 2] = (0.5 * times(made)).clamp(max=0.5).view(-1, 1)  # The base stops from 0.5 m/s after a second.
+    made.vel[: len(made.vel) // 2, :, 0] = 0.5  # The base stops from 0.5 m/s after a second.
+    made.yaw[: len(made.vel) // 2] = math.pi / 2
     made.torque_rms[30, 0, 1] = 1.0
-    found = getting_up(Motion(made, parts(), 1.0))
+    found = impact(Motion(made, parts(), 1.0))
     assert float(found["impact_m_s"]) == pytest.approx(0.5, rel=1e-3)
     assert float(found["torque_peak_share"]) == pytest.approx(0.5)
 
@@ -255,7 +273,7 @@ def test_a_policy_that_gets_up_from_one_side_only_is_found():
     for number, (roll, pitch) in enumerate([(0, 0), (half_turn, 0), (0, quarter), (0, -quarter), (-quarter, 0)]):
         made.roll[0, 10 * number : 10 * number + 10], made.pitch[0, 10 * number : 10 * number + 10] = roll, pitch
     made.roll[0, 50:] = quarter
-    side = getting_up(Motion(made, parts(60), 1.0))["side"]
+    side = rest(made)["side"]
     assert side.tolist() == [number for number in range(6) for _ in range(10)]
     columns = {"test": np.array(["get_up"] * 60), "side": side.double().numpy(), "recovered": np.ones(60)}
     columns["recovered"][40:50] = 0.0

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from evaluation.conftest import protocol, stub_env, zeros
+from evaluation.conftest import protocol, stub_env, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import disturbances, margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Protocol
-from wheelleg_exp.evaluation.scenarios import Scenarios, in_changed_world
+from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, in_changed_world, jumping, standing
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
 from wheelleg_exp.terms.config_sections import read_section
@@ -56,6 +56,49 @@ def test_starts_follow_from_the_seed_alone(task):
         made.roll(policy, seed)
         starts.append(made.starts)
     assert starts[0] == starts[2] != starts[1]
+
+
+def held(task, name, term, make, *changes) -> torch.Tensor:
+    """Return the values of a command over 4 s, (T, N, D), in the test of the same name."""
+    options = read_section(Protocol, protocol(name, *changes), "protocol")
+    env = compose([f"task={'jump' if term == 'jump' else 'height'}"]).config["env"]
+    table = make(getattr(options, name))
+    cfg = evaluation_cfg(env, options, table.size, 4.0, "flat") | {"terminations": {}}
+    made = Rollout(build(cfg, task[1], 5), replace(table, horizon_s=4.0), replace(options, fall_tilt=3.2))
+    seen = []
+    policy = zeros(made.env)
+
+    def watched(observations):
+        seen.append(made.env.command_manager.get_command(term).clone())
+        return policy(observations)
+
+    made.roll(watched, 3)
+    return torch.stack(seen)
+
+
+def test_each_episode_keeps_its_commanded_height(task):
+    changes = words("height", episodes=1, heights="[0.05,0.09]", lin_vel_x="[0.0]")
+    seen = held(task, "height", "base_pose", at_heights, *changes)
+    assert torch.equal(seen, torch.tensor([[0.05, 0.0, 0.0], [0.09, 0.0, 0.0]]).expand_as(seen))
+
+
+def test_each_episode_has_one_jump_at_the_time_of_the_protocol(task):
+    changes = words("jump", episodes=1, lin_vel_x="[0.0,0.3]", at_s=1.0)
+    seen = held(task, "jump", "jump", jumping, *changes)[:, :, 0] > 0.0
+    jumps = seen[:, 0].nonzero().squeeze(1) / 60
+    assert (float(jumps[0]), float(jumps[-1])) == pytest.approx((1.0, 1.6), abs=0.04)
+    assert len(jumps) == int(seen[:, 1].sum()) == pytest.approx(36, abs=1)
+    changes = words("stand", episodes=1)
+    assert not held(task, "stand", "jump", standing, *changes).any()
+
+
+def test_a_task_without_a_command_for_jumps_cannot_be_tested_for_jumps(task):
+    options = read_section(Protocol, protocol("jump"), "protocol")
+    assert options.jump is not None
+    table = jumping(replace(options.jump, episodes=1))
+    env = build(evaluation_cfg(task[0], options, table.size, 1.0, "flat"), task[1], 5)
+    with pytest.raises(ConfigError, match=r"env\.commands.*commands no jump"):
+        Rollout(env, table, options)
 
 
 def test_digests_of_tables_tell_every_difference():
@@ -236,6 +279,7 @@ def test_a_margin_is_the_largest_survived_change(limit, expected):
         ("+protocol.robust.margins.mass=2", "margins.mass", "no such change"),
         ("+protocol.robust.combined.nois=2", "combined.nois", "did you mean 'noise'"),
         ("protocol.robust.combined.noise=-2", "combined.noise", "out of range"),
+        ("+protocol.robust.combined={mass:1.1,payload:0.1}", "combined.payload", "replace the change of mass"),
         ("protocol.robust.horizon_s=2", "horizon_s", "after the kick"),
     ],
 )

@@ -331,3 +331,15 @@ def test_the_metrics_of_the_base_are_means_over_the_time_between_draws(start_env
     for axis, error in (("height", 0.05), ("roll", 0.1), ("pitch", 0.2)):
         assert float(log[f"Metrics/c/error_{axis}"]) == pytest.approx(error * 2 * 0.02 / 0.1, abs=1e-5)
         assert float(log[f"Episode_Metrics/c/error_{axis}_per_step"]) == pytest.approx(error, abs=1e-5)
+
+
+def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(start_env):
+    fields = {"resampling_time_range": [1.0, 1.0], "window_s": 0.25}
+    env, term = _env(start_env, "JumpCommand", num_envs=2, **fields)
+    seen = []
+    for _ in range(20):
+        env.command_manager.compute(0.1)
+        seen.append(round(float(term.command[0, 0]), 3))
+    assert seen == ([0.0] * 7 + [0.8, 0.4, 0.0]) * 2
+    _, term = _env(start_env, "JumpCommand", num_envs=2000, rel_jumping_envs=0.3, **fields)
+    assert float(term.is_jumping_env.float().mean()) == pytest.approx(0.3, abs=0.04)

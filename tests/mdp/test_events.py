@@ -9,6 +9,8 @@ import torch
 from sim.small_envs import run
 
 from mdp.nodes import bodies, event, joints
+from mdp.test_curriculums import TILES
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.mdp import events
 from wheelleg_exp.mdp.root_motion import resting_side
 from wheelleg_exp.sim import rotation
@@ -437,3 +439,9 @@ def test_each_side_on_which_the_robot_can_lie_can_be_equally_likely(start_env):
     shares = shares[shares > 0]
     assert len(shares) > 1
     assert shares.tolist() == pytest.approx([1 / len(shares)] * len(shares), abs=0.06)
+
+
+def test_a_robot_can_only_be_laid_down_on_level_ground(start_env):
+    node = event("reset_to_resting_pose", mode="reset", num_poses=2)
+    with pytest.raises(ConfigError, match="level ground"):
+        start_env(events={"lie": node}, scene={"terrain": TILES})

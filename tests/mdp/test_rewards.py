@@ -215,3 +215,43 @@ def test_only_an_upright_robot_of_the_right_height_stands():
     )
     expected = [1.0, math.exp(-0.25), math.exp(-4.0), 0.0]
     close(rewards.standing_exp(env, target_height=0.5, height_std=0.2, tilt_std=0.3), expected)
+
+
+def test_a_jump_earns_its_largest_clearance_once():
+    """A ballistic jump with a take-off speed v reaches v²/2g, and the reward sums to this height over the jump."""
+    dt, speed = 0.01, 1.0
+    command = T([[1.0], [1.0]])
+    env = fake_env(commands={"jump": command}, data_body_pos_w=torch.zeros(2, 2, 3), step_dt=dt)
+    term = rewards.jump_clearance(_sized(env, 2), "jump", rest=0.02, target=0.03, asset_cfg=entity(bodies=[0, 1]))
+    total = torch.zeros(2)
+    for step in range(40):
+        time = step * dt
+        height = max(0.0, speed * time - 9.81 * time**2 / 2)
+        # The first robot lifts only one wheel; the second jumps higher than the target.
+        env.scene.robot.data.body_pos_w[:, :, 2] = 0.02 + T([[height, 0.0], [height, height]])
+        total += term(env) * dt
+    assert speed**2 / (2 * 9.81) > 0.03
+    close(total, [0.0, 0.03])
+    command.zero_()
+    assert term(env).tolist() == [0.0, 0.0]
+    env.scene.robot.data.body_pos_w[:, :, 2] = 0.03
+    assert term(env).tolist() == [0.0, 0.0]  # Outside the command's window, a jump earns nothing.
+    command.fill_(0.5)
+    close(term(env) * dt, [0.01, 0.01])
+
+
+def _sized(env, n):
+    env.num_envs, env.device = n, torch.device("cpu")
+    return env
+
+
+def test_the_apex_of_a_jump_is_known_at_the_take_off():
+    env = fake_env(
+        commands={"jump": T([[1.0], [1.0]])},
+        data_root_pos_w=T([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1]]),
+        data_root_lin_vel_w=T([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]),
+        step_dt=0.01,
+    )
+    env.scene.model = SimpleNamespace(opt=SimpleNamespace(gravity=(0.0, 0.0, -9.81)))
+    term = rewards.jump_apex(_sized(env, 2), "jump", rest=0.07, target=1.0)
+    close(term(env) * 0.01, [0.03 + 1 / (2 * 9.81), 0.03])

@@ -32,7 +32,7 @@ class World:
         self.term = SimpleNamespace(ranges={"lin_vel_x": [-0.3, 0.3], "ang_vel_z": [-0.5, 0.5]})
         self.command_manager = SimpleNamespace(get_command=lambda _: self.command, get_term=lambda _: self.term)
         self.termination_manager = SimpleNamespace(terminated=torch.zeros(N, dtype=torch.bool))
-        names = ("root_lin_vel_b", "root_ang_vel_b", "root_lin_vel_w", "root_pos_w")
+        names = ("root_lin_vel_b", "root_ang_vel_b", "root_lin_vel_w", "root_pos_w", "projected_gravity_b")
         self.data = SimpleNamespace(**{name: torch.zeros(N, 3) for name in names}, heading_w=torch.zeros(N))
         self.moved: list = []
         terrain = SimpleNamespace(
@@ -40,6 +40,7 @@ class World:
         )
         terrain.update_env_origins = lambda _, up, down: self.moved.append((up.tolist(), down.tolist()))
         self.scene = Scene(robot=SimpleNamespace(data=self.data))
+        self.scene.robot = self.scene["robot"]
         self.scene.terrain, self.scene.env_origins = terrain, torch.zeros(N, 3)
 
     def state_dict(self) -> dict:
@@ -277,3 +278,15 @@ def test_a_robot_that_survives_gets_longer_delays_and_harder_kicks():
     world.episode_length_buf[0] = 5
     levels(world, torch.tensor([0]))
     assert delay.share.tolist() == approx([0.5, 1.0, 0.0, 1.0])
+
+
+def test_a_robot_that_lies_at_the_end_has_not_survived_if_the_tilt_is_limited():
+    world = World()
+    world.action_manager = SimpleNamespace(delays={})
+    world.termination_manager.time_outs = torch.ones(N, dtype=torch.bool)
+    for tilt, expected in ((0.4, 0.5), (0.6, 0.0)):
+        world.data.projected_gravity_b[:] = torch.tensor([math.sin(tilt), 0.0, -math.cos(tilt)])
+        levels = action_delay_levels(world, num_episodes=2, max_tilt=0.5)
+        world.episode(levels)
+        assert levels.level.tolist() == approx([expected] * N)
+        assert float(action_delay_levels(world, num_episodes=2)(world, ALL)) == approx(0.5)

@@ -13,7 +13,7 @@ CHANGES = (
     "env.num_envs=4",
     "env.episode_length_s=0.2",
     "env.scene.sensors.contact_forces.track_air_time=true",
-    "+command@env.commands=[base_pose,travel_velocity]",
+    "+command@env.commands=[base_pose,jump,travel_velocity]",
 )
 
 

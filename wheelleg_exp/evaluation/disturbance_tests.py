@@ -18,7 +18,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Rollout, Tell
-from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Push, Robust
+from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Jump, Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
 from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
@@ -96,7 +96,7 @@ def push_columns(
     return columns | recovery(made, options, height), made
 
 
-def recovery(made: Trajectories, options: Push | GetUp, height: torch.Tensor) -> Columns:
+def recovery(made: Trajectories, options: Push | Jump | GetUp, height: torch.Tensor) -> Columns:
     """Return ``recovery_s``, ``recovered``, and the largest tilt, given the target height of the base, m, (N,)."""
     after = made.counted(options.at_s)
     tilt = torch.acos((made.roll.cos() * made.pitch.cos()).clamp(-1.0, 1.0))
@@ -106,7 +106,7 @@ def recovery(made: Trajectories, options: Push | GetUp, height: torch.Tensor) ->
     return {
         "recovery_s": torch.where(made.fell | ~(outside & after).any(dim=0), torch.nan, time),
         "recovered": (~made.fell & (time <= latest)).double(),
-        "push_tilt_rad": largest(tilt, after),
+        "tilt_max_rad": largest(tilt, after),
     }
 
 

@@ -105,7 +105,8 @@ class RobotParts:
     """The joints and physical properties of a robot that metrics use. Integer tensors contain joint indices.
 
     ``wheels`` (W,) are the joints of driven wheels that carry the robot. ``contacts`` is the name of a contact sensor
-    on every body, and ``wheel_bodies`` (W,) are the wheels' body indices in this sensor's data. ``wheel_offsets`` (W,)
+    on every body, and ``wheel_bodies`` (W,) are the wheels' body indices in this sensor's data and in the robot's data.
+    ``wheel_radius`` (W,) is the radius of each wheel, m. ``wheel_offsets`` (W,)
     are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,)
     are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is
     ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J), N·m, is inf
@@ -116,6 +117,7 @@ class RobotParts:
     wheels: torch.Tensor
     contacts: str
     wheel_bodies: torch.Tensor
+    wheel_radius: torch.Tensor
     wheel_offsets: torch.Tensor | None
     left: torch.Tensor
     right: torch.Tensor
@@ -152,6 +154,7 @@ def parts_of(env: Env) -> RobotParts:
         wheels=indices([names.index(wheel.joint) for wheel in wheels]),
         contacts=contacts,
         wheel_bodies=indices([bodies.index(wheel.body) for wheel in wheels]),
+        wheel_radius=torch.tensor([wheel.radius for wheel in wheels], device=device),
         wheel_offsets=offsets,
         left=indices([names.index(pair.left) for pair in pairs]),
         right=indices([names.index(pair.right) for pair in pairs]),

@@ -90,7 +90,17 @@ def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
         return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
 
 
+def all_of(columns: Sequence[Array]) -> Array:
+    """Return the share of episodes in which all columns are 1."""
+    return np.prod(columns, axis=0).mean(axis=-1)
+
+
 worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, of=np.nanmean)
+
+
+def worst_share(columns: Sequence[Array]) -> Array:
+    """Return the lowest share, over groups of episodes, of episodes in which all columns after the group are 1."""
+    return worst_mean([columns[0], np.prod(columns[1:], axis=0)])
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
@@ -360,7 +370,37 @@ def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(matching, cell_name=cell))
     yield Metric("push/recovered", test, ("recovered",), mean, better=better)
     yield Metric("push/recovery", test, ("recovery_s",), mean, "s")
-    yield Metric("push/tilt", test, ("push_tilt_rad",), mean, "rad")
+    yield Metric("push/tilt", test, ("tilt_max_rad",), mean, "rad")
+
+
+def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test = "height"
+    yield from _survival(test, columns)
+    yield Metric("height/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield Metric("height/height_rmse_worst", test, ("height_rmse_m",), worst, "m", rows=surviving)
+    yield from _shared_metrics(test, columns, surviving)
+    for cell in dict.fromkeys(columns["cell_name"].tolist()):
+        rows = partial(matching, cell_name=cell)
+        yield Metric(
+            f"height/height_rmse/{cell.replace(' ', '_')}", test, ("height_rmse_m",), quadratic, "m", rows=rows
+        )
+
+
+def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    test, better = "jump", "higher"
+    yield from _survival(test, columns)
+    yield Metric("jump/success", test, ("jumped", "recovered"), all_of, better=better)
+    yield Metric("jump/worst_success", test, ("cell", "jumped", "recovered"), worst_share, better=better)
+    for name, unit in (("clearance_m", "m"), ("air_s", "s"), ("span_m", "m")):
+        yield Metric(f"jump/{name.rpartition('_')[0]}", test, (name,), mean, unit, better)
+    for cell in dict.fromkeys(columns["cell_name"].tolist()):
+        rows = partial(matching, cell_name=cell)
+        yield Metric(f"jump/success/{cell}", test, ("jumped", "recovered"), all_of, better=better, rows=rows)
+        yield Metric(f"jump/clearance/{cell}", test, ("clearance_m",), mean, "m", better, rows)
+        yield Metric(f"jump/span/{cell}", test, ("span_m",), mean, "m", better, rows)
+    yield Metric("jump/recovery", test, ("recovery_s",), mean, "s")
+    yield from _landing(test)
+    yield from _shared_metrics(test, columns, everything)
 
 
 def _of_getting_up(columns: Mapping[str, Array]) -> Iterator[Metric]:
@@ -372,10 +412,15 @@ def _of_getting_up(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(f"get_up/success/{side}", test, ("recovered",), mean, better=better, rows=rows)
         yield Metric(f"get_up/time/{side}", test, ("recovery_s",), mean, "s", rows=rows)
     yield Metric("get_up/time", test, ("recovery_s",), mean, "s")
-    yield Metric("get_up/impact", test, ("impact_m_s",), mean, "m/s")
-    yield Metric("get_up/impact_worst", test, ("impact_m_s",), worst, "m/s")
-    yield Metric("get_up/torque_peak_share", test, ("torque_peak_share",), worst)
+    yield from _landing(test)
     yield from _shared_metrics(test, columns, everything)
+
+
+def _landing(test: str) -> Iterator[Metric]:
+    yield Metric(f"{test}/tilt", test, ("tilt_max_rad",), mean, "rad")
+    yield Metric(f"{test}/impact", test, ("impact_m_s",), mean, "m/s")
+    yield Metric(f"{test}/impact_worst", test, ("impact_m_s",), worst, "m/s")
+    yield Metric(f"{test}/torque_peak_share", test, ("torque_peak_share",), worst)
 
 
 def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
@@ -439,7 +484,9 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
 _WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {
     "stand": _of_standing,
     "steps": _of_steps,
+    "height": _of_heights,
     "push": _of_pushing,
+    "jump": _of_jumps,
     "get_up": _of_getting_up,
     "strip": _of_strips,
     "robust": _of_worlds,

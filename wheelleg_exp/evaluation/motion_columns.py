@@ -13,9 +13,10 @@ from functools import cached_property
 import torch
 
 from wheelleg_exp.evaluation.evaluation_env import RobotParts
-from wheelleg_exp.evaluation.protocol_options import Steps, Walk
+from wheelleg_exp.evaluation.protocol_options import Jump, Steps, Walk
 from wheelleg_exp.evaluation.trajectories import Trajectories, at, largest, last_exit, mean, rms, slope, total
 from wheelleg_exp.mdp.root_motion import resting_side
+from wheelleg_exp.sim import rotation
 
 Columns = dict[str, torch.Tensor]
 _SPEED_HZ = 10.0  # Signal power above 10 Hz counts as chatter, because a robot moves at a few hertz.
@@ -26,13 +27,13 @@ class Motion:
     """The recorded motion of N episodes, with methods that average over the steps after the settling time.
 
     ``made`` contains the trajectories of the N episodes. ``settle_s`` is the settling time, s. ``target`` is the target
-    height of the base, m.
+    height of the base, m, one for all episodes or (N,).
     """
 
     made: Trajectories
     parts: RobotParts
     settle_s: float
-    target: float | None = None
+    target: float | torch.Tensor | None = None
 
     @cached_property
     def counted(self) -> torch.Tensor:
@@ -274,24 +275,47 @@ def group_effort(motion: Motion) -> Columns:
     return columns
 
 
-def getting_up(motion: Motion) -> Columns:
-    """Return the side on which each robot lies at the start, its largest impact, and its largest torque, (N,) each.
+def impact(motion: Motion) -> Columns:
+    """Return the largest change of the base's velocity within a control step, m/s, and the largest torque, (N,) each.
 
-    ``side`` is the index in ``SIDES`` after the first control step. ``impact_m_s`` is the largest change of the base's
-    velocity within a control step, m/s. ``torque_peak_share`` is the largest RMS torque of a joint in a control step,
-    as a share of its effort limit.
+    The torque is the largest RMS torque of a joint in a control step, as a share of its effort limit.
     """
     made = motion.made
-    counted, roll, pitch = made.counted(0.0), made.roll[0], made.pitch[0]
-    gravity = torch.stack((pitch.sin(), -roll.sin() * pitch.cos(), -roll.cos() * pitch.cos()), dim=1)
+    counted = made.counted(0.0)
+    quat = rotation.quat_from_euler_xyz(made.roll.flatten(), made.pitch.flatten(), made.yaw.flatten())
+    velocity = rotation.rotate(rotation.quat_to_matrix(quat), made.vel.flatten(0, 1)).view_as(made.vel)
     change = torch.zeros_like(made.height)
-    change[2:] = torch.linalg.vector_norm(made.pos.diff(n=2, dim=0), dim=-1) / made.dt
+    change[1:] = torch.linalg.vector_norm(velocity.diff(dim=0), dim=-1)
     share = made.torque_rms / motion.parts.effort_limit
+    return {"impact_m_s": largest(change, counted), "torque_peak_share": largest(share.amax(dim=-1), counted)}
+
+
+def jump(motion: Motion, options: Jump) -> Columns:
+    """Return each jump's clearance, m, time in the air, s, and length of a jumped obstacle, m, (N,) each.
+
+    ``clearance_m`` is the largest clearance of the lowest wheel. ``span_m`` is the distance that the base moves while
+    the clearance of all wheels is at least ``options.clearance``, or the wheels' radius. ``jumped`` is 1 if the wheels
+    reached that clearance, else 0.
+    """
+    made, after = motion.made, motion.made.counted(options.at_s)
+    wanted = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
+    lowest = made.clearance.amin(dim=-1)
+    way = torch.zeros_like(made.height)
+    way[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
+    highest = largest(lowest, after)
     return {
-        "side": resting_side(gravity),
-        "impact_m_s": largest(change, counted),
-        "torque_peak_share": largest(share.amax(dim=-1), counted),
+        "clearance_m": highest,
+        "air_s": total((~made.down.any(dim=-1)).double(), after) * made.dt,
+        "span_m": total(way * (lowest >= wanted), after),
+        "jumped": (highest >= wanted).double(),
     }
+
+
+def rest(made: Trajectories) -> Columns:
+    """Return ``side``, the index in ``SIDES`` of the side on which each robot lies after the first control step."""
+    roll, pitch = made.roll[0], made.pitch[0]
+    gravity = torch.stack((pitch.sin(), -roll.sin() * pitch.cos(), -roll.cos() * pitch.cos()), dim=1)
+    return {"side": resting_side(gravity)}
 
 
 def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:

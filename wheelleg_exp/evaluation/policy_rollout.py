@@ -1,7 +1,8 @@
 """Run a policy in N episodes in parallel, without a reset.
 
 The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand``
-fixes the values that the task's velocity command would draw randomly.
+fixes the values that the task's velocity command would draw randomly; ``hold_heights`` and ``hold_jumps`` do the same
+for commanded heights and jumps.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import EffortMeter, Trajectories
 from wheelleg_exp.managers import Env
-from wheelleg_exp.mdp.commands import UniformVelocityCommand
+from wheelleg_exp.mdp.commands import JumpCommand, UniformBasePoseCommand, UniformVelocityCommand
 
 
 class HeldCommand:
@@ -50,6 +51,37 @@ class HeldCommand:
         self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)
 
 
+def hold_heights(env: Env, heights: torch.Tensor) -> None:
+    """Make every command of a base pose constant: the given heights (N,), m, without tilt."""
+    poses = torch.nn.functional.pad(heights.unsqueeze(1), (0, 2))
+    for term in _terms(env, UniformBasePoseCommand, "the task commands no height", "a UniformBasePoseCommand"):
+
+        def draw(env_ids: torch.Tensor, term: Any = term) -> None:
+            term.command[env_ids] = poses[env_ids]
+
+        setattr(term, "draw", draw)  # noqa: B010
+
+
+def hold_jumps(env: Env, at_s: float) -> None:
+    """Make every jump command start one jump in each episode, ``at_s`` seconds after the start; inf for no jump."""
+    for term in _terms(env, JumpCommand, "the task commands no jump", "a JumpCommand"):
+
+        def draw(env_ids: torch.Tensor, term: Any = term) -> None:
+            term.time_left[env_ids] = at_s + term.window_s
+            term.is_jumping_env[env_ids] = term.command_counter[env_ids] == 0
+            term.command[env_ids] = 0.0
+
+        setattr(term, "draw", draw)  # noqa: B010
+
+
+def _terms(env: Env, kind: type, message: str, expected: str) -> list[Any]:
+    manager = env.command_manager
+    found = [term for term in map(manager.get_term, manager.active_terms) if isinstance(term, kind)]
+    if not found:
+        raise ConfigError(message, key="env.commands", expected=expected)
+    return found
+
+
 Policy = Callable[[Mapping[str, Any]], torch.Tensor]
 Tell = Callable[[int, int], None]
 Disturb = Callable[[int], None]
@@ -69,6 +101,12 @@ class Rollout:
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
         self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
         self._held = HeldCommand(env, protocol.command)
+        if scenarios.heights:
+            hold_heights(env, torch.tensor(scenarios.heights, device=env.device)[scenarios.cell_of().to(env.device)])
+        if scenarios.test == "jump" and protocol.jump is not None:
+            hold_jumps(env, protocol.jump.at_s)
+        elif any(isinstance(env.command_manager.get_term(n), JumpCommand) for n in env.command_manager.active_terms):
+            hold_jumps(env, math.inf)
         # A robot that gets up starts with any tilt, and may fall back.
         self._fall_tilt = math.inf if scenarios.test == "get_up" else protocol.fall_tilt
         self._force = protocol.contact_force

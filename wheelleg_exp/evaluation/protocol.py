@@ -107,7 +107,9 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
     "stand": scenarios.standing,
     "walk": scenarios.walking,
     "steps": scenarios.stepping,
+    "height": scenarios.at_heights,
     "push": scenarios.pushing,
+    "jump": scenarios.jumping,
     "get_up": scenarios.getting_up,
     "terrain": scenarios.on_terrain,
     "strip": scenarios.over_strips,
@@ -188,7 +190,11 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     options, settle, parts = subject.protocol, subject.protocol.settle_s, rollout.parts
     test = rollout.scenarios.test
     moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
-    motion = Motion(made, parts, settle, subject.target)
+    target: float | torch.Tensor | None = subject.target
+    if rollout.scenarios.heights:
+        heights = torch.tensor(rollout.scenarios.heights, device=made.height.device)
+        target = heights[rollout.scenarios.cell_of().to(heights.device)]
+    motion = Motion(made, parts, settle, target)
     columns = motion_columns.survival(made, moments) | motion_columns.drift(made, settle)
     columns |= motion_columns.group_effort(motion) | measured(motion) | {"distance_m": motion.distance}
     if test == "walk" and options.walk is not None:
@@ -197,9 +203,13 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     if test == "steps" and options.steps is not None:
         commands = rollout.scenarios.commands()[:, 1].to(made.command.device)
         columns |= motion_columns.responses(made, options.steps, commands)
-    if test == "get_up" and options.get_up is not None:
-        height = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
-        columns |= recovery(made, options.get_up, height) | motion_columns.getting_up(motion)
+    if test == "height":
+        columns |= motion_columns.errors(made, settle)
+    if (test == "jump" and options.jump is not None) or (test == "get_up" and options.get_up is not None):
+        asked: Any = options.jump if test == "jump" else options.get_up
+        stands = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
+        columns |= recovery(made, asked, stands) | motion_columns.impact(motion)
+        columns |= motion_columns.jump(motion, asked) if test == "jump" else motion_columns.rest(made)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:

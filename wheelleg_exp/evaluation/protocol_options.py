@@ -22,15 +22,18 @@ def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
-    tests, settle = ("stand", "walk", "terrain", "strip", "robust"), protocol["settle_s"]
+    tests, settle = ("stand", "walk", "height", "terrain", "strip", "robust"), protocol["settle_s"]
     lengths = {f"{test}.horizon_s": protocol[test]["horizon_s"] for test in tests if protocol[test] is not None}
     if (steps := protocol["steps"]) is not None:
         lengths["steps.drive_s"] = steps["stand_s"] + 3 * steps["drive_s"]
-    for test in ("push", "get_up"):
+    for test in ("push", "get_up", "jump"):
         if (options := protocol[test]) is not None:
             lengths[f"{test}.after_s"] = options["at_s"] + options["after_s"]
+            if options["recovered_s"] > options["after_s"]:
+                expected = f"at most {options['after_s']:g}, the value of after_s"
+                yield Broken(f"{test}.recovered_s", "the episode is shorter", expected)
     if not lengths:
-        expected = "one of stand, walk, steps, push, get_up, terrain, strip, robust that is not null"
+        expected = "one of stand, walk, height, steps, push, jump, get_up, terrain, strip, robust that is not null"
         yield Broken("", "the protocol has no test", expected)
     for key, seconds in lengths.items():
         if seconds <= settle:
@@ -134,6 +137,23 @@ class Push:
 
 
 @dataclass(frozen=True)
+class Height:
+    """``protocol.height``: every pair of a commanded height and a forward speed, constant over the episode.
+
+    Attributes:
+        episodes: number of episodes per pair.
+        horizon_s: length of each episode, s.
+        heights: heights of the base above the ground, m.
+        lin_vel_x: forward speeds, m/s.
+    """
+
+    episodes: Count
+    horizon_s: Positive
+    heights: Annotated[list[Positive], NotEmpty()]
+    lin_vel_x: Speeds
+
+
+@dataclass(frozen=True)
 class GetUp:
     """``protocol.get_up``: getting up from poses in which the limp robot came to rest.
 
@@ -152,6 +172,33 @@ class GetUp:
     num_poses: Count
     at_s: NonNegative
     after_s: Positive
+    recovered_tilt: Positive
+    recovered_height: Positive
+    recovered_s: NonNegative
+    within_s: Positive
+
+
+@dataclass(frozen=True)
+class Jump:
+    """``protocol.jump``: one commanded jump, standing or driving.
+
+    Attributes:
+        episodes: number of episodes per speed.
+        lin_vel_x: forward speeds, m/s.
+        at_s: time of the command to jump, s.
+        after_s: duration of the episode from then on, s.
+        clearance: clearance of all wheels that counts as a jump, m; null takes the wheels' radius.
+        recovered_tilt: largest tilt of a robot that has landed, rad.
+        recovered_height: largest distance of its base from the target height, m.
+        recovered_s: shortest time for which both must hold at the end, s.
+        within_s: longest time from the command to the end of the landing, s.
+    """
+
+    episodes: Count
+    lin_vel_x: Speeds
+    at_s: NonNegative
+    after_s: Positive
+    clearance: Positive | None
     recovered_tilt: Positive
     recovered_height: Positive
     recovered_s: NonNegative
@@ -335,7 +382,9 @@ class Protocol:
         stand: standing.
         walk: the grid of commands.
         steps: responses to command steps.
+        height: the grid of commanded heights and speeds.
         push: recovery from pushes.
+        jump: a commanded jump.
         get_up: getting up from resting poses.
         terrain: driving over tiles of rough ground.
         strip: driving from level ground over rough ground and back.
@@ -357,7 +406,9 @@ class Protocol:
     stand: Stand | None = None
     walk: Walk | None = None
     steps: Steps | None = None
+    height: Height | None = None
     push: Push | None = None
+    jump: Jump | None = None
     get_up: GetUp | None = None
     terrain: Terrain | None = None
     strip: Strip | None = None

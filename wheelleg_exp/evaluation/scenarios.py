@@ -11,6 +11,8 @@ import torch
 
 from wheelleg_exp.evaluation.protocol_options import (
     GetUp,
+    Height,
+    Jump,
     Push,
     Robust,
     Stand,
@@ -31,7 +33,8 @@ class Scenarios:
     ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
     3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, such
     as ``vx=1 wz=0``. ``episodes`` is the number of episodes per cell. ``settings`` are further settings of the episodes
-    as text: pushes, tiles, a changed world.
+    as text: pushes, tiles, a changed world. ``heights`` (C,) are the commanded heights of the base, m, if the test has
+    such commands.
     """
 
     test: str
@@ -41,6 +44,7 @@ class Scenarios:
     names: tuple[str, ...]
     episodes: int
     settings: str = ""
+    heights: tuple[float, ...] = ()
 
     @property
     def size(self) -> int:
@@ -85,10 +89,26 @@ def stepping(options: Steps) -> Scenarios:
     return Scenarios("steps", begin + 3 * drive, times, cells, names, options.episodes)
 
 
+def at_heights(options: Height) -> Scenarios:
+    """Return a table of episodes over the grid of commanded heights and forward speeds."""
+    pairs = [(float(h), float(x)) for h, x in product(options.heights, options.lin_vel_x)]
+    cells, names = tuple(((x, 0.0, 0.0),) for _, x in pairs), tuple(f"h={h:g} vx={x:g}" for h, x in pairs)
+    settings, heights = json.dumps(asdict(options)), tuple(h for h, _ in pairs)
+    return Scenarios("height", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings, heights)
+
+
 def getting_up(options: GetUp) -> Scenarios:
     """Return a table of episodes that start in resting poses and have a zero command."""
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
     return Scenarios("get_up", horizon, (0.0,), ((ZERO,),), ("lying",), options.episodes, settings)
+
+
+def jumping(options: Jump) -> Scenarios:
+    """Return a table of episodes with one jump, one group (cell) for each forward speed."""
+    cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
+    names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
+    horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
+    return Scenarios("jump", horizon, (0.0,), cells, names, options.episodes, settings)
 
 
 def pushing(options: Push) -> Scenarios:

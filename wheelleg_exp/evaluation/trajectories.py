@@ -104,10 +104,11 @@ class Trajectories:
     ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
     root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
     velocity, both in the base's axes. ``torque`` contains the joint torques of the last physics step in each control
-    step. ``torque_rms``, ``sign_changes``, and ``saturated`` (share of steps at the effort limit) use all physics
-    steps. ``work`` contains gross, net, and positive mechanical work, and the largest positive power. ``fell_at`` is
-    the number, from 1, of the control step in which an episode failed, and ``ended_by`` is the index of the failure's
-    cause. The tensors contain undefined values after the end of an episode.
+    step. ``clearance`` is the height of each wheel's lowest point over the ground. ``torque_rms``, ``sign_changes``,
+    and ``saturated`` (share of steps at the effort limit) use all physics steps. ``work`` contains gross, net, and
+    positive mechanical work, and the largest positive power. ``fell_at`` is the number, from 1, of the control step in
+    which an episode failed, and ``ended_by`` is the index of the failure's cause. The tensors contain undefined values
+    after the end of an episode.
     """
 
     dt: float  # s
@@ -127,6 +128,7 @@ class Trajectories:
     torque_rms: torch.Tensor  # (T, N, J)
     sign_changes: torch.Tensor  # (T, N, W)
     down: torch.Tensor  # (T, N, W) bool
+    clearance: torch.Tensor  # (T, N, W)
     work: torch.Tensor  # (T, N, 4)
     saturated: torch.Tensor  # (T, N, J)
     fell_at: torch.Tensor  # (N,), 0 without failure
@@ -152,6 +154,7 @@ class Trajectories:
             action=room(actions),
             sign_changes=room(wheels),
             down=room(wheels, dtype=torch.bool),
+            clearance=room(wheels),
             work=room(4),
             fell_at=row(0),
             ended_by=row(-1),
@@ -182,6 +185,8 @@ class Trajectories:
         self.torque[step], self.torque_rms[step] = data.applied_torque, meter.torque_rms()
         self.sign_changes[step] = meter.sign_changes[:, parts.wheels]
         forces = env.scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
+        axles = data.body_pos_w[:, parts.wheel_bodies]
+        self.clearance[step] = axles[..., 2] - env.scene.terrain.height_at(axles[..., :2]) - parts.wheel_radius
         self.down[step] = torch.linalg.vector_norm(forces, dim=-1) > force
         self.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
         self.saturated[step] = meter.shares()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import inspect
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, ClassVar
 
@@ -37,18 +38,23 @@ class action_delay_levels(TermBase):
     Args:
         num_episodes: successive episodes that a robot must survive to get from level 0 to level 1. A fall at the start
             of an episode lowers the level as much as a survived episode raises it, and a later fall lowers it less.
+        max_tilt: largest tilt at the end of a survived episode, rad, for tasks in which no fall ends an episode; null
+            if every fall ends one.
 
     Attributes:
         level: each robot's level, from 0 to 1, (N,).
     """
 
-    def __init__(self, env: Env, num_episodes: Count) -> None:
+    def __init__(self, env: Env, num_episodes: Count, max_tilt: Positive | None = None) -> None:
         self._num_episodes = num_episodes
+        self._max_tilt = math.inf if max_tilt is None else max_tilt
         self.level = torch.zeros(env.num_envs, device=env.device)
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> torch.Tensor:
         share = env.episode_length_buf[env_ids] / env.max_episode_length
         change = torch.where(env.termination_manager.time_outs[env_ids], 1.0, share - 1.0)
+        tilt = torch.acos((-env.scene.robot.data.projected_gravity_b[env_ids, 2]).clamp(-1.0, 1.0))
+        change = torch.where(tilt > self._max_tilt, -1.0, change)
         self.level[env_ids] = (self.level[env_ids] + change / self._num_episodes).clamp(0.0, 1.0)
         for delay in env.action_manager.delays.values():
             delay.share.copy_((2.0 * self.level).clamp(max=1.0))

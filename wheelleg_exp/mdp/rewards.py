@@ -5,6 +5,8 @@ The reward formulas are those of Isaac Lab, unless the docstring of a reward nam
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 from wheelleg_exp.constraints import Names, NonNegative, Positive
@@ -190,6 +192,56 @@ def track_base_height_exp(
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
     return torch.exp(-error / std**2)
+
+
+class jump_clearance(TermBase):
+    """Rate at which the lowest wheel's clearance above the ground reaches new heights in a jump, m/s. Not in Isaac Lab.
+
+    Over a jump, the reward sums to the largest clearance, at most ``target``. The command ``command_name`` must be a
+    ``JumpCommand``; outside its window, the reward is 0.
+
+    Args:
+        rest: height of the wheels' links while the robot stands: the radius of the wheels, m.
+        target: clearance above which the reward does not grow, m.
+        asset_cfg: the wheels' links.
+    """
+
+    def __init__(
+        self, env: Env, command_name: str, rest: NonNegative, target: Positive, asset_cfg: SceneEntityCfg = _ROBOT
+    ) -> None:
+        self._command, self._rest, self._target, self._entity = command_name, rest, target, asset_cfg
+        self._highest = torch.zeros(env.num_envs, device=env.device)
+
+    def height(self, env: Env) -> torch.Tensor:
+        """Return the height of the lowest wheel's link above the ground, m, (N,)."""
+        wheels = picked(env.scene[self._entity.name].data.body_pos_w, self._entity.body_ids)
+        return height_over_ground(env, wheels).amin(dim=1)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        jumps = env.command_manager.get_command(self._command)[:, 0] > 0.0
+        height = (self.height(env) - self._rest).clamp(0.0, self._target)
+        gain = (height - self._highest).clamp(min=0.0) * jumps
+        self._highest.copy_((self._highest + gain) * jumps)
+        return gain / env.step_dt
+
+
+class jump_apex(jump_clearance):
+    """Like ``jump_clearance``, for the apex that the base would reach without further forces. Not in Isaac Lab.
+
+    The apex is h + v²/2g for a base at the height h above the ground with an upward velocity v. It rises while the legs
+    push the base up, so the reward leads to a first jump.
+
+    Args:
+        rest: height of the base while the robot stands, m.
+        target: rise of the apex above which the reward does not grow, m.
+    """
+
+    def height(self, env: Env) -> torch.Tensor:
+        """Return the apex of the base above the ground, m, (N,)."""
+        data = env.scene[self._entity.name].data
+        gravity = math.hypot(*env.scene.model.opt.gravity)
+        rise = data.root_lin_vel_w[:, 2].clamp(min=0.0).square() / (2.0 * gravity)
+        return height_over_ground(env, data.root_pos_w) + rise
 
 
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -255,8 +255,8 @@ def _scaled(value: Any, factor: float, unit: str) -> str:
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
-_TITLES |= {"get_up": "Getting up", "terrain": "Rough ground", "strip": "Onto rough ground and off it"}
-_TITLES |= {"robust": "A changed world"}
+_TITLES |= {"height": "Commanded heights", "jump": "Jumps", "get_up": "Getting up"}
+_TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
 _SHOWN_FIRST = 12  # For each evaluation test, the report shows the first 12 metrics and collapses the others.
 
 

@@ -79,6 +79,7 @@ COMMAND_RULES: Mapping[str, str] = {
     "UniformPose2dCommand": "place",
     "UniformBasePoseCommand": "base_pose",
     "UniformPoseCommand": "pose",
+    "JumpCommand": "invariant",
     "NullCommand": "invariant",
 }
 

@@ -23,7 +23,7 @@ _CART = (
     + "".join(_WHEEL.format(name=name, x=x, y=y) for name, x, y in _WHEELS)
     + "</body></worldbody></mujoco>"
 )
-_VELOCITY = {
+VELOCITY = {
     "_target_": "wheelleg_exp.mdp.commands.UniformVelocityCommand",
     "ranges": {"lin_vel_x": [-0.4, 0.4], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-0.5, 1.0], "heading": None},
     "resampling_time_range": [0.1, 0.1],
@@ -49,7 +49,7 @@ def cart_env(folder: Path, **changes: Any) -> ManagerBasedRLEnv:
         "episode_length_s": 1000.0,
         "robot": {"asset": "cart.xml", "init_state": state, "actuators": {"axles": axles}},
         "scene": {"sensors": {}},
-        "commands": {"base_velocity": _VELOCITY},
+        "commands": {"base_velocity": VELOCITY},
         "actions": {"axles": {"_target_": "wheelleg_exp.mdp.actions.JointVelocityAction", "joint_names": [".*_axle"]}},
         "observations": {
             "policy": {

@@ -3,7 +3,7 @@
 import pytest
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Push, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_script import ScriptPlayer, read_script
 
 AXES = [Axis("lin_vel_x", "base_velocity", "lin_vel_x", -0.3, 0.3), Axis("height", "pose", "height", 0.06, 0.08)]
@@ -14,7 +14,7 @@ SCRIPT = """\
 - at: 1.0
   height: 0.08
   push: 0.2
-- {at: 2.0, stop: true, lin_vel_x: -0.1, push: [0.1, -0.2], reset: true, for: 0.25}
+- {at: 2.0, stop: true, lin_vel_x: -0.1, push: [0.1, -0.2], reset: true, jump: true, for: 0.25}
 """
 
 
@@ -31,7 +31,8 @@ def script(tmp_path):
 def test_entries_begin_at_their_moment_or_where_the_one_before_ends(script):
     read = read_script(script(SCRIPT), AXES)
     assert ([entry.at for entry in read.entries], read.duration_s) == ([0.0, 0.5, 1.0, 2.0], 2.25)
-    assert (read.entries[3].requests, read.entries[2].requests) == ([Reset(), Push(0.1, -0.2)], [Push(0.2, 0.0)])
+    assert read.entries[3].requests == [Reset(), Jump(), Push(0.1, -0.2)]
+    assert read.entries[2].requests == [Push(0.2, 0.0)]
 
 
 def test_each_step_is_done_under_what_is_due_before_it(script):
@@ -43,7 +44,7 @@ def test_each_step_is_done_under_what_is_due_before_it(script):
         seen.append((controls.values["lin_vel_x"], controls.values["height"]))
         requests |= {step: found} if (found := controls.take()) else {}
     assert (len(seen), seen) == (23, [(0.0, 0.07)] * 5 + [(0.3, 0.07)] * 5 + [(0.3, 0.08)] * 10 + [(-0.1, 0.07)] * 3)
-    assert requests == {10: [Push(0.2)], 20: [Reset(), Push(0.1, -0.2)]}
+    assert requests == {10: [Push(0.2)], 20: [Reset(), Jump(), Push(0.1, -0.2)]}
 
 
 def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for_nothing(script):

@@ -6,9 +6,9 @@ import threading
 import pytest
 import torch
 
-from jobs.drive.cart import cart, cart_env, driver
+from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Push, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -114,6 +114,24 @@ def test_what_was_driven_is_a_script_of_it(tmp_path):
         {"at": 0.3, "push": [0.1, 0.0]},
         {"at": 0.3, "reset": True, "for": 0.1},
     ]
+
+
+def test_a_jump_is_commanded_once_on_request_and_repeats_from_the_script(tmp_path):
+    fields = {"resampling_time_range": [0.4, 0.4], "window_s": 0.2}
+    jump = {"_target_": "wheelleg_exp.mdp.commands.JumpCommand", **fields}
+    session = cart(tmp_path, commands={"base_velocity": VELOCITY, "jump": jump})
+    command = session.env.command_manager.get_term("jump").command
+    for _ in range(50):
+        session.step()
+        assert float(command) == 0.0  # No jump without a request.
+    session.obey(Jump())
+    seen = []
+    for _ in range(50):
+        session.step()
+        seen.append(float(command))
+    assert sum(value > 0.0 for value in seen) == 10
+    assert session.meter.figures()["jumps"] == 1
+    assert {"at": 1.0, "jump": True, "for": 1.0} in session.driven.script(session.steps)
 
 
 def test_requests_of_many_threads_are_all_taken_once(tmp_path):

@@ -92,6 +92,11 @@ class Push:
 
 
 @dataclass(frozen=True)
+class Jump:
+    """Start a jump, if the task has a command for jumps."""
+
+
+@dataclass(frozen=True)
 class Reset:
     """Start a new episode."""
 
@@ -109,7 +114,8 @@ class Finish:
     """End the drive."""
 
 
-Request = Push | Reset | Choose | Finish
+Deed = Push | Jump | Reset
+Request = Deed | Choose | Finish
 
 
 class Controls:

@@ -21,7 +21,7 @@ from typing import Any, Self
 import mujoco
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Push, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK
@@ -58,7 +58,7 @@ _GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
 _BOX_STYLE = "font-size:0.82em;line-height:1.5;padding:0.2em 1em"
 KEYS_HELP = (
     f'<div style="{_BOX_STYLE};opacity:0.75">W S or arrows: forwards, back. A D: turn. Q E: sideways. T G: height. '
-    "Space: pause. R: reset. F: push. X: stop. M: slow motion. A gamepad drives with its sticks.</div>"
+    "Space: pause. R: reset. F: push. J: jump. X: stop. M: slow motion. A gamepad drives with its sticks.</div>"
 )
 
 
@@ -113,7 +113,7 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyT": ("height", 1.0),
     "KeyG": ("height", -1.0),
 }
-KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyX": "stop", "KeyM": "slow"}
+KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyJ": "jump", "KeyX": "stop", "KeyM": "slow"}
 # Axis 1 of a standard gamepad is -1 if the left stick points forwards.
 # Axis 2 of a standard gamepad is 1 if the right stick points to the right.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
@@ -174,6 +174,8 @@ class InputServer:
             controls.request(Reset())
         elif name == "push":
             controls.request(Push(self.push))
+        elif name == "jump":
+            controls.request(Jump())
 
     def _listen(self, connection: Any) -> None:
         steered: set[str] = set()

@@ -18,11 +18,11 @@ import yaml
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.files import read_text
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Push, Request, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Deed, Jump, Push, Request, Reset
 from wheelleg_exp.plain_data import Unreadable, yaml_tree, yaml_value
 
 _TIMES = ("at", "for")
-_ACTIONS = ("push", "reset", "stop")
+_ACTIONS = ("push", "jump", "reset", "stop")
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,8 @@ def _value(axis: Axis, value: Any, place: _Place) -> float:
 def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
     if _flag(item, "reset", place):
         yield Reset()
+    if _flag(item, "jump", place):
+        yield Jump()
     if "push" in item:
         push = item["push"]
         parts = push if isinstance(push, list) and len(push) == 2 else [push]
@@ -185,9 +187,10 @@ class DriveLog:
             self._entries.append((step, changed))
             self._values = dict(values)
 
-    def asked(self, step: int, request: Reset | Push) -> None:
+    def asked(self, step: int, request: Deed) -> None:
         """Record a request that the user made before a control step."""
-        self._entries.append((step, {"push": [request.x, request.y]} if isinstance(request, Push) else {"reset": True}))
+        name = type(request).__name__.lower()
+        self._entries.append((step, {name: [request.x, request.y] if isinstance(request, Push) else True}))
 
     def script(self, steps: int) -> list[dict[str, Any]]:
         """Return the recorded commands, pushes, and resets of ``steps`` control steps as timed YAML entries."""

@@ -13,10 +13,12 @@ import torch
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Push, Reset, command_axes
+from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Deed, Jump, Push, Reset, command_axes
 from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
+from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.sim.timers import forget
 
 # Each function in ``_MEASURES`` returns the measured value of a command component, such as the forward speed.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
@@ -67,7 +69,7 @@ class DriveMeter:
         """Count an episode that was ended by the termination term ``by``."""
         self._ended[by] += 1
 
-    def asked(self, request: Reset | Push) -> None:
+    def asked(self, request: Deed) -> None:
         """Count a request."""
         self._requests[type(request).__name__] += 1
 
@@ -85,6 +87,7 @@ class DriveMeter:
             "falls": dict(self._ended),
             "resets": self._requests[Reset.__name__],
             "pushes": self._requests[Push.__name__],
+            "jumps": self._requests[Jump.__name__],
             "height_mean_m": self._height / count,
             "reward": self._reward,
             "tracking_rmse": {name: (total / count) ** 0.5 for name, total in self._squares.items()},
@@ -136,6 +139,11 @@ class DriveSession:
         self.meter = DriveMeter(self.env, self.axes)
         self.steps = 0
         self.fallen: str | None = None
+        manager = self.env.command_manager
+        terms = [manager.get_term(name) for name in manager.active_terms]
+        self._jumps = [term for term in terms if isinstance(term, JumpCommand)]
+        for term in self._jumps:
+            term.share = 0.0  # The user starts the jumps.
         self._hold(self.controls.values)
         self.env.reset()
 
@@ -159,7 +167,7 @@ class DriveSession:
             self.fallen = ending(name for name, (flag,) in terms if flag)
             self.meter.ended(self.fallen)
 
-    def obey(self, request: Reset | Push) -> None:
+    def obey(self, request: Deed) -> None:
         """Carry out a request of the user; after the robot has fallen, ignore every request except ``Reset``."""
         if self.fallen is not None:
             if isinstance(request, Reset):
@@ -169,6 +177,10 @@ class DriveSession:
         self.meter.asked(request)
         if isinstance(request, Push):
             self._push(request)
+        elif isinstance(request, Jump):
+            for term in self._jumps:
+                term.start()
+            forget()
         else:
             self.reset()
 

@@ -48,7 +48,7 @@ from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.terms.config_sections import read_section
 from wheelleg_exp.terms.key_syntax import PIPELINE
 
-_TESTS = ("stand", "walk", "steps", "push", "get_up", "terrain", "strip", "robust")
+_TESTS = ("stand", "walk", "steps", "height", "push", "jump", "get_up", "terrain", "strip", "robust")
 
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:

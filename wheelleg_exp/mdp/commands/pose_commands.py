@@ -1,4 +1,4 @@
-"""Pose commands: a position to drive to, a pose for one body, and height and tilt of the base."""
+"""Pose commands: a position to drive to, a pose for one body, height and tilt of the base, and a jump."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import Any, Literal, get_args
 
 import torch
 
-from wheelleg_exp.constraints import Broken, Interval, PositiveInterval, relation
+from wheelleg_exp.constraints import Broken, Interval, Positive, PositiveInterval, Share, relation
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers import Env, member
+from wheelleg_exp.managers import CommandTerm, Env, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
@@ -258,3 +258,52 @@ class UniformBasePoseCommand(RangedCommand):
         low, high = self.bounds()
         u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
         self._command[env_ids] = low + (high - low) * u
+
+
+class JumpCommand(CommandTerm):
+    """Commands a jump in the last ``window_s`` seconds before the next draw. Not in Isaac Lab.
+
+    Args:
+        resampling_time_range: shortest and longest time between two draws, s.
+        window_s: time in which the robot must jump, s.
+        rel_jumping_envs: share of draws with a jump.
+
+    Attributes:
+        share: the same share, which can be changed.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        window_s: Positive,
+        rel_jumping_envs: Share = 1.0,
+    ) -> None:
+        super().__init__(env, resampling_time_range, (), generator)
+        self.window_s, self.share = window_s, rel_jumping_envs
+        self.is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self._command = torch.zeros(env.num_envs, 1, device=env.device)
+
+    @property
+    def command(self) -> torch.Tensor:
+        """The remaining share of the time to jump, (N, 1): 1 at the start of the window; 0 outside the window."""
+        return self._command
+
+    def errors(self) -> torch.Tensor:
+        return self.error_sums
+
+    def draw(self, env_ids: torch.Tensor) -> None:
+        u = torch.rand(len(env_ids), generator=self._generator, device=self._command.device)
+        self.is_jumping_env[env_ids] = u < self.share
+        self._command[env_ids] = 0.0
+
+    def start(self) -> None:
+        """Start a jump in every environment."""
+        self.is_jumping_env.fill_(True)
+        self.time_left.fill_(self.window_s)
+        self._command.fill_(1.0)
+
+    def post_process(self) -> None:
+        left = (self.time_left / self.window_s).clamp(min=0.0)
+        self._command[:, 0] = torch.where(self.is_jumping_env & (left <= 1.0), left, 0.0)

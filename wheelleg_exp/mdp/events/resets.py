@@ -15,6 +15,7 @@ from wheelleg_exp.mdp.events.randomization import POSE, PoseRange, all_ids
 from wheelleg_exp.mdp.root_motion import resting_side
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import picked
+from wheelleg_exp.sim.terrain import Plane
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -108,6 +109,8 @@ class reset_to_resting_pose(TermBase):
     ) -> None:
         self._robot, self._generator, self._share = env.scene[asset_cfg.name], generator, share
         self._robot.require_floating()
+        if not isinstance(env.scene.terrain, Plane):
+            raise ConfigError("the resting poses fit only level ground", expected="scene=flat")
         layout, model = self._robot.layout, env.scene.model
         root = int(model.jnt_qposadr[model.body_jntadr[int(layout.body_ids[0])]])
         addresses = [*range(root, root + 7), *layout.qpos_ids.tolist()]
