@@ -12,11 +12,11 @@ import torch
 from evaluation.conftest import protocol, stub_env, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation.disturbance_tests import disturbances, margin, world, worlds
+from wheelleg_exp.evaluation.disturbance_tests import disturbances, gain_ramp, margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Protocol
-from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, in_changed_world, jumping, standing
+from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, getting_up, in_changed_world, jumping, standing
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
 from wheelleg_exp.terms.config_sections import read_section
@@ -241,6 +241,20 @@ def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
         env.step(torch.zeros(2, 6))
     moved = robot.data.root_lin_vel_w[:, :2]
     assert moved.numpy() == pytest.approx(-2.0 / math.pi * np.eye(2), abs=0.02)
+
+
+def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task):
+    options = read_section(Protocol, protocol("get_up"), "protocol")
+    assert options.get_up is not None
+    table = getting_up(replace(options.get_up, episodes=1))
+    made = Rollout(build(evaluation_cfg(task[0], options, 1, 1.0, "flat"), task[1], 1), table, options)
+    gains, drives = [], made.env.scene.sim.expand("actuator_biasprm")
+    whole, ramp = drives.clone(), gain_ramp(made, 0.5)
+    for step in range(40):
+        ramp(step)
+        gains.append(float((drives / whole).nan_to_num(nan=0.0).amax()))
+        assert torch.allclose(drives, gains[-1] * whole)
+    assert gains == pytest.approx([min(1.0, step / 30) for step in range(40)], abs=1e-6)
 
 
 def test_a_payload_adds_to_the_mass_of_the_base(task):

@@ -229,6 +229,20 @@ def margin(survival: Callable[[float], float], highest: float, options: Robust, 
     return low
 
 
+def gain_ramp(rollout: Rollout, seconds: float) -> Disturb:
+    """Return a callback that raises the gains of all drives evenly from 0 in the first ``seconds`` of an episode."""
+    robot, dt = rollout.env.scene.robot, rollout.env.step_dt
+    stiffness, damping = robot.data.joint_stiffness.clone(), robot.data.joint_damping.clone()
+
+    def raise_gains(step: int) -> None:
+        if step * dt <= seconds + dt:
+            share = min(1.0, step * dt / seconds)
+            robot.write_joint_stiffness_to_sim(share * stiffness)
+            robot.write_joint_damping_to_sim(share * damping)
+
+    return raise_gains
+
+
 PLATFORM_HZ = 1.0  # frequency of a swinging floor
 
 

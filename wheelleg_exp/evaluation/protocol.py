@@ -13,7 +13,16 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
-from wheelleg_exp.evaluation.disturbance_tests import World, disturbances, margin, push_columns, recovery, world, worlds
+from wheelleg_exp.evaluation.disturbance_tests import (
+    World,
+    disturbances,
+    gain_ramp,
+    margin,
+    push_columns,
+    recovery,
+    world,
+    worlds,
+)
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg, target_height
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
@@ -126,7 +135,8 @@ def _run(subject: Subject, table: Scenarios) -> Part:
         columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, tell)
         columns |= motion_columns.survival(made, [])
     else:
-        made = rollout.roll(policy, subject.seed, tell)
+        ramp = subject.protocol.get_up.ramp_s if table.test == "get_up" and subject.protocol.get_up else 0.0
+        made = rollout.roll(policy, subject.seed, tell, gain_ramp(rollout, ramp) if ramp else None)
         columns = _columns(subject, rollout, made)
     return Part(table.test, rollout.starts, identity(rollout, made) | _numbers(columns), about(rollout))
 

@@ -166,6 +166,7 @@ class GetUp:
         recovered_height: largest distance of a standing robot's base from its target height, m.
         recovered_s: shortest time for which the robot must stand at the end, s.
         within_s: longest time to get up, s.
+        ramp_s: time in which the gains of the drives rise from 0 to their values at the start, s.
     """
 
     episodes: Count
@@ -176,6 +177,7 @@ class GetUp:
     recovered_height: Positive
     recovered_s: NonNegative
     within_s: Positive
+    ramp_s: NonNegative
 
 
 @dataclass(frozen=True)
