@@ -58,8 +58,9 @@ def slim(name: str, run: RunDirectory, folder: Path) -> None:
 
 
 def _without_folders(text: str) -> str:
-    """Make the paths of runs relative, and remove the comments, which contain the variables of a machine."""
-    return re.sub(r"/[\w./-]*/runs/", "runs/", re.sub(r"(?m)^#.*\n", "", text))
+    """Make the paths of runs relative, and remove the comments, which contain variables and files of a machine."""
+    text = re.sub(r"(?m)^#.*\n|  # file:.*$", "", text)
+    return re.sub(r"((?:init_from|named)\W{1,4})/[\w./-]*/", r"\1", re.sub(r"/[\w./-]*/runs/", "runs/", text))
 
 
 def _words(words: list[str]) -> list[str]:

@@ -279,6 +279,7 @@ DRIVE = {
     "falls": Definition("fell", "", "Number of episodes that a termination ended, for each termination."),
     "resets": Definition("resets", "", "Number of resets by the user."),
     "pushes": Definition("pushes", "", "Number of pushes by the user."),
+    "jumps": Definition("jumps", "", "Number of jumps that the user commanded."),
     "height_mean_m": Definition("base height, mean", "m", "Mean height of the root link's origin above the ground."),
     "reward": Definition("return", "", "Sum of the rewards of all steps."),
     "tracking_rmse": Definition("RMS error", "m/s, rad/s",

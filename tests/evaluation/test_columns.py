@@ -257,12 +257,30 @@ def test_a_ballistic_jump_has_the_clearance_time_and_span_of_the_closed_form():
     assert found["jumped"].tolist() == [1.0, 0.0]
 
 
+def test_hops_do_not_add_up_to_a_flight():
+    made = still(6.0)
+    made.pos[..., 0] = 0.3 * times(made).unsqueeze(1)
+    for start, end in ((180, 192), (210, 216)):
+        made.clearance[start:end] = 0.03
+        made.down[start:end] = False
+    found = jump(Motion(made, parts(), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5))
+    assert float(found["air_s"]) == pytest.approx(12 * DT)
+    assert float(found["span_m"]) == pytest.approx(12 * DT * 0.3, rel=1e-3)
+
+
+def test_an_impact_before_the_jump_does_not_count():
+    made = still(2.0)
+    made.vel[:10, :, 2] = -0.5
+    motion = Motion(made, parts(), 1.0)
+    assert [float(impact(motion, begin)["impact_m_s"]) for begin in (0.0, 1.0)] == pytest.approx([0.5, 0.0])
+
+
 def test_an_impact_is_the_change_of_velocity_within_a_step():
     made = still(2.0)
     made.vel[: len(made.vel) // 2, :, 0] = 0.5  # The base stops from 0.5 m/s after a second.
     made.yaw[: len(made.vel) // 2] = math.pi / 2
     made.torque_rms[30, 0, 1] = 1.0
-    found = impact(Motion(made, parts(), 1.0))
+    found = impact(Motion(made, parts(), 1.0), 0.0)
     assert float(found["impact_m_s"]) == pytest.approx(0.5, rel=1e-3)
     assert float(found["torque_peak_share"]) == pytest.approx(0.5)
 

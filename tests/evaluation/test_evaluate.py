@@ -99,7 +99,7 @@ NO_TURNS, NO_SPEEDS = "protocol.steps.ang_vel_z=[]", "protocol.steps.lin_vel_x=[
     [
         ("stand", ["protocol.stand=null"], "protocol", "the protocol has no test"),
         ("stand", ["protocol.settle_s=60"], "protocol.stand.horizon_s", "60 s ends before its steps count"),
-        ("get_up", ["protocol.get_up.recovered_s=6"], "protocol.get_up.recovered_s", "the episode is shorter"),
+        ("get_up", ["protocol.get_up.recovered_s=6"], "protocol.get_up.recovered_s", "longer than the time after at_s"),
         ("walk", ["protocol.settle_s=15"], "protocol.steps.drive_s", "15 s ends before"),
         ("walk", ["protocol.walk.ang_vel_z=[]"], "protocol.walk.ang_vel_z", "is out of range"),
         ("walk", [NO_TURNS, NO_SPEEDS], "protocol.steps.lin_vel_x", "the step test has no speed"),

@@ -14,7 +14,9 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import disturbances, gain_ramp, margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
+from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.policy_rollout import Rollout
+from wheelleg_exp.evaluation.protocol import evaluate
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, getting_up, in_changed_world, jumping, standing
 from wheelleg_exp.evaluation.trajectories import EffortMeter
@@ -80,6 +82,8 @@ def test_each_episode_keeps_its_commanded_height(task):
     changes = words("height", episodes=1, heights="[0.05,0.09]", lin_vel_x="[0.0]")
     seen = held(task, "height", "base_pose", at_heights, *changes)
     assert torch.equal(seen, torch.tensor([[0.05, 0.0, 0.0], [0.09, 0.0, 0.0]]).expand_as(seen))
+    seen = held(task, "stand", "base_pose", standing, *words("stand", episodes=1))
+    assert seen.flatten().tolist() == pytest.approx([0.0725, 0.0, 0.0] * len(seen))  # the middle of the task's range
 
 
 def test_each_episode_has_one_jump_at_the_time_of_the_protocol(task):
@@ -243,18 +247,37 @@ def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
     assert moved.numpy() == pytest.approx(-2.0 / math.pi * np.eye(2), abs=0.02)
 
 
-def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task):
+@pytest.mark.parametrize("robot", ["article", "explicit"])
+def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task, robot):
     options = read_section(Protocol, protocol("get_up"), "protocol")
     assert options.get_up is not None
-    table = getting_up(replace(options.get_up, episodes=1))
-    made = Rollout(build(evaluation_cfg(task[0], options, 1, 1.0, "flat"), task[1], 1), table, options)
-    gains, drives = [], made.env.scene.sim.expand("actuator_biasprm")
-    whole, ramp = drives.clone(), gain_ramp(made, 0.5)
+    table, env = (
+        getting_up(replace(options.get_up, episodes=1)),
+        compose(["task=stand", f"robot={robot}"]).config["env"],
+    )
+    made = Rollout(build(evaluation_cfg(env, options, 1, 1.0, "flat"), task[1], 1), table, options)
+    drives = list(made.env.scene.robot.actuators.values())
+    whole, ramp = [drive.damping.clone() for drive in drives], gain_ramp(made, 0.5)
+    assert min(float(gain.min()) for gain in whole) > 0.0
     for step in range(40):
         ramp(step)
-        gains.append(float((drives / whole).nan_to_num(nan=0.0).amax()))
-        assert torch.allclose(drives, gains[-1] * whole)
-    assert gains == pytest.approx([min(1.0, step / 30) for step in range(40)], abs=1e-6)
+        for drive, gain in zip(drives, whole, strict=True):
+            assert torch.allclose(drive.damping, min(1.0, step / 30) * gain)
+
+
+@pytest.mark.parametrize("skill", ["height", "jump"])
+def test_the_reference_keeps_the_height_but_does_not_jump(task, skill):
+    small = {"height": {"heights": "[0.0725]", "lin_vel_x": "[0.0]", "horizon_s": 3.0}}
+    small["jump"] = {"lin_vel_x": "[0.0]", "at_s": 2.0, "after_s": 2.0, "within_s": 1.5}
+    env = compose([f"task={skill}"]).config["env"]
+    found = evaluate(env, task[1], Reference, protocol(skill, *words(skill, episodes=2, **small[skill])), 1)
+    assert found.value(f"{skill}/survival") == 1.0
+    if skill == "height":
+        assert found.value("height/height_rmse/h=0.0725_vx=0") < 0.01
+    else:
+        assert (found.value("jump/success"), found.value("jump/worst_success")) == (0.0, 0.0)
+        assert found.value("jump/clearance") < 0.002
+        assert found.value("jump/impact") < 0.01  # The drop at the start does not count.
 
 
 def test_a_payload_adds_to_the_mass_of_the_base(task):

@@ -343,3 +343,5 @@ def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(star
     assert seen == ([0.0] * 7 + [0.8, 0.4, 0.0]) * 2
     _, term = _env(start_env, "JumpCommand", num_envs=2000, rel_jumping_envs=0.3, **fields)
     assert float(term.is_jumping_env.float().mean()) == pytest.approx(0.3, abs=0.04)
+    with pytest.raises(ConfigError, match=r"window_s.*less than 1 s"):
+        _env(start_env, "JumpCommand", num_envs=2, resampling_time_range=[1.0, 2.0], window_s=1.0)

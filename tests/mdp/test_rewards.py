@@ -237,7 +237,11 @@ def test_a_jump_earns_its_largest_clearance_once():
     env.scene.robot.data.body_pos_w[:, :, 2] = 0.03
     assert term(env).tolist() == [0.0, 0.0]  # Outside the command's window, a jump earns nothing.
     command.fill_(0.5)
-    close(term(env) * dt, [0.01, 0.01])
+    env.scene.robot.data.body_pos_w[0, :, 2] = math.nan
+    close(term(env)[1:] * dt, [0.01])
+    term.reset(torch.tensor([0]))
+    env.scene.robot.data.body_pos_w[:, :, 2] = 0.03
+    close(term(env) * dt, [0.01, 0.0])  # A new episode starts a new jump.
 
 
 def _sized(env, n):

@@ -232,13 +232,16 @@ def margin(survival: Callable[[float], float], highest: float, options: Robust, 
 def gain_ramp(rollout: Rollout, seconds: float) -> Disturb:
     """Return a callback that raises the gains of all drives evenly from 0 in the first ``seconds`` of an episode."""
     robot, dt = rollout.env.scene.robot, rollout.env.step_dt
-    stiffness, damping = robot.data.joint_stiffness.clone(), robot.data.joint_damping.clone()
+    whole: list[tuple[torch.Tensor, torch.Tensor]] = []  # gains after the reset, which can change them
 
     def raise_gains(step: int) -> None:
+        if step == 0:
+            whole[:] = [(drive.stiffness.clone(), drive.damping.clone()) for drive in robot.actuators.values()]
         if step * dt <= seconds + dt:
             share = min(1.0, step * dt / seconds)
-            robot.write_joint_stiffness_to_sim(share * stiffness)
-            robot.write_joint_damping_to_sim(share * damping)
+            for drive, (stiffness, damping) in zip(robot.actuators.values(), whole, strict=True):
+                robot.write_joint_stiffness_to_sim(share * stiffness, drive.joint_ids)
+                robot.write_joint_damping_to_sim(share * damping, drive.joint_ids)
 
     return raise_gains
 

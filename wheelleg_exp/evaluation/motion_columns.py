@@ -275,13 +275,14 @@ def group_effort(motion: Motion) -> Columns:
     return columns
 
 
-def impact(motion: Motion) -> Columns:
-    """Return the largest change of the base's velocity within a control step, m/s, and the largest torque, (N,) each.
+def impact(motion: Motion, begin_s: float) -> Columns:
+    """Return the largest change of the base's velocity between two control steps, m/s, and the largest torque, (N,).
 
-    The torque is the largest RMS torque of a joint in a control step, as a share of its effort limit.
+    The torque is the largest RMS torque of a joint in a control step, as a share of its effort limit. Steps before
+    ``begin_s`` do not count.
     """
     made = motion.made
-    counted = made.counted(0.0)
+    counted = made.counted(begin_s)
     quat = rotation.quat_from_euler_xyz(made.roll.flatten(), made.pitch.flatten(), made.yaw.flatten())
     velocity = rotation.rotate(rotation.quat_to_matrix(quat), made.vel.flatten(0, 1)).view_as(made.vel)
     change = torch.zeros_like(made.height)
@@ -291,24 +292,31 @@ def impact(motion: Motion) -> Columns:
 
 
 def jump(motion: Motion, options: Jump) -> Columns:
-    """Return each jump's clearance, m, time in the air, s, and length of a jumped obstacle, m, (N,) each.
+    """Return each jump's clearance, m, longest flight, s, and length of an obstacle that it can pass, m, (N,) each.
 
-    ``clearance_m`` is the largest clearance of the lowest wheel. ``span_m`` is the distance that the base moves while
-    the clearance of all wheels is at least ``options.clearance``, or the wheels' radius. ``jumped`` is 1 if the wheels
+    ``clearance_m`` is the largest clearance of the lowest wheel. ``span_m`` is the longest way of the base while the
+    clearance of all wheels is at least ``options.clearance``, or the wheels' radius. ``jumped`` is 1 if the wheels
     reached that clearance, else 0.
     """
     made, after = motion.made, motion.made.counted(options.at_s)
-    wanted = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
+    enough = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
     lowest = made.clearance.amin(dim=-1)
-    way = torch.zeros_like(made.height)
-    way[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
+    steps = torch.zeros_like(made.height)
+    steps[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
     highest = largest(lowest, after)
     return {
         "clearance_m": highest,
-        "air_s": total((~made.down.any(dim=-1)).double(), after) * made.dt,
-        "span_m": total(way * (lowest >= wanted), after),
-        "jumped": (highest >= wanted).double(),
+        "air_s": _longest(torch.full_like(steps, made.dt), ~made.down.any(dim=-1), after),
+        "span_m": _longest(steps, lowest >= enough, after),
+        "jumped": (highest >= enough).double(),
     }
+
+
+def _longest(values: torch.Tensor, chosen: torch.Tensor, counted: torch.Tensor) -> torch.Tensor:
+    """Return the largest sum of ``values`` (T, N) over successive counted steps that are all chosen, (N,)."""
+    chosen = chosen & counted
+    sums = torch.where(chosen, values, 0.0).double().cumsum(dim=0)
+    return (sums - torch.where(chosen, 0.0, sums).cummax(dim=0).values).amax(dim=0)
 
 
 def rest(made: Trajectories) -> Columns:

@@ -1,8 +1,8 @@
 """Run a policy in N episodes in parallel, without a reset.
 
 The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand``
-fixes the values that the task's velocity command would draw randomly; ``hold_heights`` and ``hold_jumps`` do the same
-for commanded heights and jumps.
+fixes the values that the task's velocity command would draw randomly; ``hold_heights_and_jumps`` does the same for
+commanded heights and jumps.
 """
 
 from __future__ import annotations
@@ -51,35 +51,36 @@ class HeldCommand:
         self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)
 
 
-def hold_heights(env: Env, heights: torch.Tensor) -> None:
-    """Make every command of a base pose constant: the given heights (N,), m, without tilt."""
-    poses = torch.nn.functional.pad(heights.unsqueeze(1), (0, 2))
-    for term in _terms(env, UniformBasePoseCommand, "the task commands no height", "a UniformBasePoseCommand"):
+def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> None:
+    """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-        def draw(env_ids: torch.Tensor, term: Any = term) -> None:
-            term.command[env_ids] = poses[env_ids]
+    Without heights in ``scenarios``, a base pose is the middle of the task's range. Each episode has one jump, at
+    ``jump_at_s``; inf for none. Raise ConfigError if the task lacks a command that the test needs.
+    """
+    terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
+    poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]
+    jumps = [term for term in terms if isinstance(term, JumpCommand)]
+    for test, found, kind in (("height", poses, "UniformBasePoseCommand"), ("jump", jumps, "JumpCommand")):
+        if scenarios.test == test and not found:
+            raise ConfigError(f"the task commands no {test}", key="env.commands", expected=f"a {kind}")
+    for pose in poses:
+        low, high = pose.bounds()
+        held = ((low + high) / 2).repeat(env.num_envs, 1)
+        if scenarios.heights:
+            held[:, 0] = scenarios.height_of().to(held.device)
 
-        setattr(term, "draw", draw)  # noqa: B010
+        def draw_pose(env_ids: torch.Tensor, pose: Any = pose, held: torch.Tensor = held) -> None:
+            pose.command[env_ids] = held[env_ids]
 
+        setattr(pose, "draw", draw_pose)  # noqa: B010
+    for jump in jumps:
 
-def hold_jumps(env: Env, at_s: float) -> None:
-    """Make every jump command start one jump in each episode, ``at_s`` seconds after the start; inf for no jump."""
-    for term in _terms(env, JumpCommand, "the task commands no jump", "a JumpCommand"):
+        def draw_jump(env_ids: torch.Tensor, jump: Any = jump) -> None:
+            jump.time_left[env_ids] = jump_at_s + jump.window_s
+            jump.is_jumping_env[env_ids] = jump.command_counter[env_ids] == 0
+            jump.command[env_ids] = 0.0
 
-        def draw(env_ids: torch.Tensor, term: Any = term) -> None:
-            term.time_left[env_ids] = at_s + term.window_s
-            term.is_jumping_env[env_ids] = term.command_counter[env_ids] == 0
-            term.command[env_ids] = 0.0
-
-        setattr(term, "draw", draw)  # noqa: B010
-
-
-def _terms(env: Env, kind: type, message: str, expected: str) -> list[Any]:
-    manager = env.command_manager
-    found = [term for term in map(manager.get_term, manager.active_terms) if isinstance(term, kind)]
-    if not found:
-        raise ConfigError(message, key="env.commands", expected=expected)
-    return found
+        setattr(jump, "draw", draw_jump)  # noqa: B010
 
 
 Policy = Callable[[Mapping[str, Any]], torch.Tensor]
@@ -101,12 +102,8 @@ class Rollout:
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
         self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
         self._held = HeldCommand(env, protocol.command)
-        if scenarios.heights:
-            hold_heights(env, torch.tensor(scenarios.heights, device=env.device)[scenarios.cell_of().to(env.device)])
-        if scenarios.test == "jump" and protocol.jump is not None:
-            hold_jumps(env, protocol.jump.at_s)
-        elif any(isinstance(env.command_manager.get_term(n), JumpCommand) for n in env.command_manager.active_terms):
-            hold_jumps(env, math.inf)
+        at_s = protocol.jump.at_s if scenarios.test == "jump" and protocol.jump else math.inf
+        hold_heights_and_jumps(env, scenarios, at_s)
         # A robot that gets up starts with any tilt, and may fall back.
         self._fall_tilt = math.inf if scenarios.test == "get_up" else protocol.fall_tilt
         self._force = protocol.contact_force

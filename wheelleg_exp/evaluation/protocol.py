@@ -202,8 +202,7 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
     target: float | torch.Tensor | None = subject.target
     if rollout.scenarios.heights:
-        heights = torch.tensor(rollout.scenarios.heights, device=made.height.device)
-        target = heights[rollout.scenarios.cell_of().to(heights.device)]
+        target = rollout.scenarios.height_of().to(made.height.device)
     motion = Motion(made, parts, settle, target)
     columns = motion_columns.survival(made, moments) | motion_columns.drift(made, settle)
     columns |= motion_columns.group_effort(motion) | measured(motion) | {"distance_m": motion.distance}
@@ -218,7 +217,7 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     if (test == "jump" and options.jump is not None) or (test == "get_up" and options.get_up is not None):
         asked: Any = options.jump if test == "jump" else options.get_up
         stands = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
-        columns |= recovery(made, asked, stands) | motion_columns.impact(motion)
+        columns |= recovery(made, asked, stands) | motion_columns.impact(motion, asked.at_s)
         columns |= motion_columns.jump(motion, asked) if test == "jump" else motion_columns.rest(made)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)

@@ -31,7 +31,7 @@ def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
             lengths[f"{test}.after_s"] = options["at_s"] + options["after_s"]
             if options["recovered_s"] > options["after_s"]:
                 expected = f"at most {options['after_s']:g}, the value of after_s"
-                yield Broken(f"{test}.recovered_s", "the episode is shorter", expected)
+                yield Broken(f"{test}.recovered_s", "recovered_s is longer than the time after at_s", expected)
     if not lengths:
         expected = "one of stand, walk, height, steps, push, jump, get_up, terrain, strip, robust that is not null"
         yield Broken("", "the protocol has no test", expected)
@@ -188,11 +188,11 @@ class Jump:
         episodes: number of episodes per speed.
         lin_vel_x: forward speeds, m/s.
         at_s: time of the command to jump, s.
-        after_s: duration of the episode from then on, s.
-        clearance: clearance of all wheels that counts as a jump, m; null takes the wheels' radius.
+        after_s: time from the command to the end of the episode, s.
+        clearance: clearance of all wheels that counts as a jump, m; null means the wheels' radius.
         recovered_tilt: largest tilt of a robot that has landed, rad.
         recovered_height: largest distance of its base from the target height, m.
-        recovered_s: shortest time for which both must hold at the end, s.
+        recovered_s: time at the end for which tilt and height must stay within their limits, s.
         within_s: longest time from the command to the end of the landing, s.
     """
 

@@ -55,6 +55,10 @@ class Scenarios:
         """Return the index of each episode's cell (group with equal commands), (N,). Episodes are sorted by cell."""
         return torch.arange(len(self.cells)).repeat_interleave(self.episodes)
 
+    def height_of(self) -> torch.Tensor:
+        """Return each episode's commanded height, m, (N,)."""
+        return torch.tensor(self.heights)[self.cell_of()]
+
     def commands(self) -> torch.Tensor:
         """Return the K velocity commands of each episode, (N, K, 3)."""
         return torch.tensor(self.cells)[self.cell_of()]

@@ -38,8 +38,8 @@ class action_delay_levels(TermBase):
     Args:
         num_episodes: successive episodes that a robot must survive to get from level 0 to level 1. A fall at the start
             of an episode lowers the level as much as a survived episode raises it, and a later fall lowers it less.
-        max_tilt: largest tilt at the end of a survived episode, rad, for tasks in which no fall ends an episode; null
-            if every fall ends one.
+        max_tilt: a robot with a larger tilt at the end of its episode counts as fallen, rad; None for no limit. Tasks
+            in which no fall ends an episode need it.
 
     Attributes:
         level: each robot's level, from 0 to 1, (N,).

@@ -195,7 +195,7 @@ def track_base_height_exp(
 
 
 class jump_clearance(TermBase):
-    """Rate at which the lowest wheel's clearance above the ground reaches new heights in a jump, m/s. Not in Isaac Lab.
+    """Rate at which the largest clearance of the lower wheel grows within a jump, m/s. Not in Isaac Lab.
 
     Over a jump, the reward sums to the largest clearance, at most ``target``. The command ``command_name`` must be a
     ``JumpCommand``; outside its window, the reward is 0.
@@ -220,9 +220,12 @@ class jump_clearance(TermBase):
     def __call__(self, env: Env) -> torch.Tensor:
         jumps = env.command_manager.get_command(self._command)[:, 0] > 0.0
         height = (self.height(env) - self._rest).clamp(0.0, self._target)
-        gain = (height - self._highest).clamp(min=0.0) * jumps
-        self._highest.copy_((self._highest + gain) * jumps)
+        gain = torch.where(jumps, (height - self._highest).clamp(min=0.0), 0.0)
+        self._highest.copy_(torch.where(jumps, self._highest + gain, 0.0))
         return gain / env.step_dt
+
+    def reset(self, env_ids: torch.Tensor) -> None:
+        self._highest[env_ids] = 0.0
 
 
 class jump_apex(jump_clearance):

@@ -18,7 +18,6 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.sim.timers import forget
 
 # Each function in ``_MEASURES`` returns the measured value of a command component, such as the forward speed.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
@@ -168,10 +167,15 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: Deed) -> None:
-        """Carry out a request of the user; after the robot has fallen, ignore every request except ``Reset``."""
+        """Carry out a request of the user; ignore a jump if the task has no command for jumps.
+
+        After the robot has fallen, ignore every request except ``Reset``.
+        """
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()
+            return
+        if isinstance(request, Jump) and not self._jumps:
             return
         self.driven.asked(self.steps, request)
         self.meter.asked(request)
@@ -180,7 +184,6 @@ class DriveSession:
         elif isinstance(request, Jump):
             for term in self._jumps:
                 term.start()
-            forget()
         else:
             self.reset()
 

@@ -13,6 +13,7 @@ from wheelleg_exp.managers import CommandTerm, Env, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.timers import forget
 
 _Place = Literal["pos_x", "pos_y", "heading"]
 _Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
@@ -260,6 +261,13 @@ class UniformBasePoseCommand(RangedCommand):
         self._command[env_ids] = low + (high - low) * u
 
 
+def _window_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
+    shortest = given["resampling_time_range"][0]
+    if given["window_s"] >= shortest:
+        yield Broken("window_s", "the robot would have to jump all the time", f"less than {shortest:g} s")
+
+
+@relation(_window_fits)
 class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw. Not in Isaac Lab.
 
@@ -269,7 +277,7 @@ class JumpCommand(CommandTerm):
         rel_jumping_envs: share of draws with a jump.
 
     Attributes:
-        share: the same share, which can be changed.
+        share: present share of draws with a jump; can be changed during a run.
     """
 
     def __init__(
@@ -302,6 +310,7 @@ class JumpCommand(CommandTerm):
         """Start a jump in every environment."""
         self.is_jumping_env.fill_(True)
         self.time_left.fill_(self.window_s)
+        forget()
         self._command.fill_(1.0)
 
     def post_process(self) -> None:
