@@ -19,7 +19,7 @@ VARIANTS = {
         "env.observations.policy.concatenate_terms=false",
         "observation@env.observations.critic.terms=[last_action,base_lin_vel]",
         "+env.observations.critic.terms.angles={_target_: wheelleg_exp.mdp.observations.joint_pos_sin_cos}",
-        "action@env.actions=[wheel_rel_pos]",
+        "action@env.actions=[leg_pos,wheel_rel_pos]",
     ],
 }
 
