@@ -10,7 +10,7 @@ from evaluation.synthetic import DT, fall, parts, still, times
 from wheelleg_exp.evaluation import motion_columns
 from wheelleg_exp.evaluation.disturbance_tests import recovery
 from wheelleg_exp.evaluation.metric_catalogue import measured, metrics_of
-from wheelleg_exp.evaluation.motion_columns import Motion, impact, jump, rest
+from wheelleg_exp.evaluation.motion_columns import Motion, impact, jump, resting_sides
 from wheelleg_exp.evaluation.protocol_options import Jump, Push, Steps, Walk
 from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
@@ -285,13 +285,13 @@ def test_an_impact_is_the_change_of_velocity_within_a_step():
     assert float(found["torque_peak_share"]) == pytest.approx(0.5)
 
 
-def test_a_policy_that_gets_up_from_one_side_only_is_found():
+def test_a_policy_that_cannot_get_up_from_one_side_is_found():
     made = still(5.0, 60)
     half_turn, quarter = math.pi, math.pi / 2
     for number, (roll, pitch) in enumerate([(0, 0), (half_turn, 0), (0, quarter), (0, -quarter), (-quarter, 0)]):
         made.roll[0, 10 * number : 10 * number + 10], made.pitch[0, 10 * number : 10 * number + 10] = roll, pitch
     made.roll[0, 50:] = quarter
-    side = rest(made)["side"]
+    side = resting_sides(made)["side"]
     assert side.tolist() == [number for number in range(6) for _ in range(10)]
     columns = {"test": np.array(["get_up"] * 60), "side": side.double().numpy(), "recovered": np.ones(60)}
     columns["recovered"][40:50] = 0.0

@@ -299,7 +299,7 @@ def jump(motion: Motion, options: Jump) -> Columns:
     reached that clearance, else 0.
     """
     made, after = motion.made, motion.made.counted(options.at_s)
-    enough = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
+    min_clearance = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
     lowest = made.clearance.amin(dim=-1)
     steps = torch.zeros_like(made.height)
     steps[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
@@ -307,8 +307,8 @@ def jump(motion: Motion, options: Jump) -> Columns:
     return {
         "clearance_m": highest,
         "air_s": _longest(torch.full_like(steps, made.dt), ~made.down.any(dim=-1), after),
-        "span_m": _longest(steps, lowest >= enough, after),
-        "jumped": (highest >= enough).double(),
+        "span_m": _longest(steps, lowest >= min_clearance, after),
+        "jumped": (highest >= min_clearance).double(),
     }
 
 
@@ -319,7 +319,7 @@ def _longest(values: torch.Tensor, chosen: torch.Tensor, counted: torch.Tensor) 
     return (sums - torch.where(chosen, 0.0, sums).cummax(dim=0).values).amax(dim=0)
 
 
-def rest(made: Trajectories) -> Columns:
+def resting_sides(made: Trajectories) -> Columns:
     """Return ``side``, the index in ``SIDES`` of the side on which each robot lies after the first control step."""
     roll, pitch = made.roll[0], made.pitch[0]
     gravity = torch.stack((pitch.sin(), -roll.sin() * pitch.cos(), -roll.cos() * pitch.cos()), dim=1)

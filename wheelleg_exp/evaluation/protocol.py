@@ -215,10 +215,10 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     if test == "height":
         columns |= motion_columns.errors(made, settle)
     if (test == "jump" and options.jump is not None) or (test == "get_up" and options.get_up is not None):
-        asked: Any = options.jump if test == "jump" else options.get_up
-        stands = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
-        columns |= recovery(made, asked, stands) | motion_columns.impact(motion, asked.at_s)
-        columns |= motion_columns.jump(motion, asked) if test == "jump" else motion_columns.rest(made)
+        limits: Any = options.jump if test == "jump" else options.get_up
+        height = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
+        columns |= recovery(made, limits, height) | motion_columns.impact(motion, limits.at_s)
+        columns |= motion_columns.jump(motion, limits) if test == "jump" else motion_columns.resting_sides(made)
     if test == "terrain" and options.terrain is not None:
         columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
     if test == "strip" and options.strip is not None:

@@ -114,8 +114,8 @@ class Finish:
     """End the drive."""
 
 
-Deed = Push | Jump | Reset
-Request = Deed | Choose | Finish
+RobotRequest = Push | Jump | Reset
+Request = RobotRequest | Choose | Finish
 
 
 class Controls:

@@ -18,7 +18,7 @@ import yaml
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.files import read_text
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Deed, Jump, Push, Request, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Jump, Push, Request, Reset, RobotRequest
 from wheelleg_exp.plain_data import Unreadable, yaml_tree, yaml_value
 
 _TIMES = ("at", "for")
@@ -187,7 +187,7 @@ class DriveLog:
             self._entries.append((step, changed))
             self._values = dict(values)
 
-    def asked(self, step: int, request: Deed) -> None:
+    def asked(self, step: int, request: RobotRequest) -> None:
         """Record a request that the user made before a control step."""
         name = type(request).__name__.lower()
         self._entries.append((step, {name: [request.x, request.y] if isinstance(request, Push) else True}))

@@ -13,7 +13,16 @@ import torch
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Deed, Jump, Push, Reset, command_axes
+from wheelleg_exp.jobs.drive.drive_controls import (
+    Axis,
+    CommandHold,
+    Controls,
+    Jump,
+    Push,
+    Reset,
+    RobotRequest,
+    command_axes,
+)
 from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.mdp.commands import JumpCommand
@@ -68,7 +77,7 @@ class DriveMeter:
         """Count an episode that was ended by the termination term ``by``."""
         self._ended[by] += 1
 
-    def asked(self, request: Deed) -> None:
+    def asked(self, request: RobotRequest) -> None:
         """Count a request."""
         self._requests[type(request).__name__] += 1
 
@@ -166,7 +175,7 @@ class DriveSession:
             self.fallen = ending(name for name, (flag,) in terms if flag)
             self.meter.ended(self.fallen)
 
-    def obey(self, request: Deed) -> None:
+    def obey(self, request: RobotRequest) -> None:
         """Carry out a request of the user; ignore a jump if the task has no command for jumps.
 
         After the robot has fallen, ignore every request except ``Reset``.
