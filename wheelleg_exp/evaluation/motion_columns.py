@@ -53,9 +53,14 @@ class Motion:
     @property
     def distance(self) -> torch.Tensor:
         """The length of each robot's path in the horizontal plane, m, (N,)."""
-        way = torch.zeros_like(self.made.height)
-        way[1:] = torch.linalg.vector_norm(self.made.pos[..., :2].diff(dim=0), dim=-1)
-        return self.total(way)
+        return self.total(self.step_lengths)
+
+    @property
+    def step_lengths(self) -> torch.Tensor:
+        """The horizontal distance that each robot moves in each control step, m, (T, N)."""
+        lengths = torch.zeros_like(self.made.height)
+        lengths[1:] = torch.linalg.vector_norm(self.made.pos[..., :2].diff(dim=0), dim=-1)
+        return lengths
 
     @property
     def weight_distance(self) -> torch.Tensor:
@@ -301,13 +306,11 @@ def jump(motion: Motion, options: Jump) -> Columns:
     made, after = motion.made, motion.made.counted(options.at_s)
     min_clearance = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
     lowest = made.clearance.amin(dim=-1)
-    steps = torch.zeros_like(made.height)
-    steps[1:] = torch.linalg.vector_norm(made.pos[..., :2].diff(dim=0), dim=-1)
     highest = largest(lowest, after)
     return {
         "clearance_m": highest,
-        "air_s": _longest(torch.full_like(steps, made.dt), ~made.down.any(dim=-1), after),
-        "span_m": _longest(steps, lowest >= min_clearance, after),
+        "air_s": _longest(torch.full_like(lowest, made.dt), ~made.down.any(dim=-1), after),
+        "span_m": _longest(motion.step_lengths, lowest >= min_clearance, after),
         "jumped": (highest >= min_clearance).double(),
     }
 
