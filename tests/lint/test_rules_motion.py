@@ -165,6 +165,8 @@ def test_a_push_is_compared_with_the_capture_point():
     (finding,) = found("push_size", push(0.1))  # A push below a fifth of the limit does not test anything.
     assert finding.figures["ratio"] == pytest.approx(0.1 / limit)
     assert found("push_size", push(0.13)) == []
+    # A push that `realism` replaces never acts.
+    assert found("push_size", case(events=push(4.0).env["events"], realism={"replaces": ["push"]})) == []
     # Traction limits the push that a strong drive could catch.
     strong = with_joint("left", drive={"effort": 9.0})
     strong = replace(strong, joints={**strong.joints, "right": strong.joints["left"]})

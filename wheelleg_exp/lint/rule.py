@@ -80,12 +80,14 @@ class Case:
         return math.ceil(round(self.episode_s / self.step_dt, 9))
 
     def terms(self, section: str, *kinds: str) -> Iterator[TermView]:
-        """Yield the terms of a config section; ``kinds`` restricts them to functions such as ``rewards.is_alive``."""
+        """Yield the terms of a config section; ``kinds`` restricts them to functions such as ``rewards.is_alive``.
+
+        The events that ``env.realism`` replaces never run, so they are left out.
+        """
+        replaced = (self.env.get("realism") or {}).get("replaces", ()) if section == "events" else ()
         for found, path, node in term_nodes(self.config):
-            if found != section:
-                continue
             view = TermView(path.rsplit(".", 1)[-1], path, kind_of(str(node[TARGET]), path), node)
-            if not kinds or view.kind in kinds:
+            if found == section and view.name not in replaced and (not kinds or view.kind in kinds):
                 yield view
 
     def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:
