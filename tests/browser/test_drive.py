@@ -53,7 +53,7 @@ class Driving:
 
 @pytest.fixture
 def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
-    with DrivePage(0, ["own", "rough"], played.checkpoints()) as page:
+    with DrivePage(0, ["own", "rough"], []) as page:
         found = Driving(page, chrome)
         wish = DriveRequest(played, overrides=[*_RANGES, "drive.fall_shown_s=0.1"])
         thread = threading.Thread(target=lambda: found.made.extend(drive(wish, Silent(), page)))

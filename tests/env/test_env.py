@@ -99,6 +99,27 @@ def test_a_reset_of_some_in_any_order_leaves_the_motion_of_the_other_environment
     assert (env.scene.sim.state[[0, 2]] != before[[0, 2]]).any(dim=1).all()
 
 
+def test_reset_to_starts_some_environments_in_a_given_state_with_a_fresh_history(make_env):
+    terms = {"q": term("observations.joint_pos")}
+    env = make_env(observations={"policy": {"terms": terms, "history_length": 3}})
+    env.reset()
+    for _ in range(5):
+        env.step(torch.ones(4, 4))
+    wanted = {name: value[:2].clone() for name, value in env.scene.get_state()["articulation"]["robot"].items()}
+    for _ in range(5):
+        env.step(-torch.ones(4, 4))
+    others = env.scene.sim.view("qpos")[[1, 3]].clone()
+    ids = torch.tensor([0, 2])
+    observations, _ = env.reset_to({"articulation": {"robot": wanted}}, ids)
+    found = env.scene.get_state()["articulation"]["robot"]
+    for name, value in wanted.items():
+        torch.testing.assert_close(found[name][ids], value)
+    history = observations["policy"][ids].reshape(2, 3, -1)
+    torch.testing.assert_close(history, wanted["joint_position"].unsqueeze(1).expand_as(history))
+    assert env.episode_length_buf.tolist() == [0, 10, 0, 10]
+    assert torch.equal(env.scene.sim.view("qpos")[[1, 3]], others)
+
+
 def test_rewards_returned_do_not_change_later(start_env):
     env = start_env(rewards={"alive": ALIVE}, episode_length_s=0.04)
     _, reward, *_ = env.step(STILL)

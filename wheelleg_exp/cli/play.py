@@ -66,16 +66,17 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, scenes
+    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, policies, scenes
 
     request = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
     place: Any = nullcontext()
+    others = policies(run, args.root) if args.drive else {}
     if args.drive:
         from wheelleg_exp.jobs.drive.drive_page import DrivePage
 
-        place = DrivePage(_PORT if args.port is None else args.port, scenes(), run.checkpoints())
+        place = DrivePage(_PORT if args.port is None else args.port, scenes(), list(others))
     with ConsoleDisplay(quiet=True) as display, place as page:
-        drives = drive(request, display, page)
+        drives = drive(request, display, page, others)
     if args.json:
         documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]
         print_json({"run": str(run.path), "drives": documents})
@@ -98,5 +99,6 @@ def _print(made: Drive) -> None:
     words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
     words += [] if scene == OWN_GROUND else ["--scene", scene]
     words += ["--script", shown(made.folder / "driven.yaml")]
-    print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
+    if not made.figures["handed_over"]:  # A script starts with a reset.
+        print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
     print_recording(made.recording)

@@ -69,6 +69,7 @@ class Drive:
     episode_length_s: Positive
     push: NonNegative
     fall_shown_s: NonNegative
+    get_up: str | None
     frames_per_s: Positive
 
 

@@ -21,6 +21,7 @@ from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.sim.scene import RobotState
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
@@ -175,6 +176,22 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         Commands are drawn but not post-processed here, as in Isaac Lab: the first observation shows the drawn command
         even of an environment that is commanded to stand still.
         """
+        return self._restart(seed, env_ids, None, False)
+
+    @host_part
+    def reset_to(
+        self,
+        state: RobotState,
+        env_ids: torch.Tensor | None = None,
+        seed: int | None = None,
+        is_relative: bool = False,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Reset environments like ``reset``, but start them in ``state``, which ``scene.get_state`` returns."""
+        return self._restart(seed, env_ids, state, is_relative)
+
+    def _restart(
+        self, seed: int | None, env_ids: torch.Tensor | None, state: RobotState | None, is_relative: bool
+    ) -> tuple[Observations, dict[str, Any]]:
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
         if seed is not None:
@@ -182,6 +199,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.streams.reseed(seed)
         if len(ids):
             self._reset_idx(ids)
+        if state is not None:
+            self.scene.reset_to(state, ids, is_relative)
         self.scene.refresh()
         self.recorder_manager.record_post_reset(ids)
         only = None

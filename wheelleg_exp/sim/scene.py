@@ -27,6 +27,7 @@ from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, com
 from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed
 
+RobotState = Mapping[str, Mapping[str, Mapping[str, torch.Tensor]]]
 _ROBOT_PRIORITY = 1
 _FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a model skips its fields of file paths.
 
@@ -203,7 +204,7 @@ class Scene(Kept):
         """Return qpos and qvel of all simulations, (N, ...), by the names ``positions`` and ``velocities``."""
         return {"positions": self.sim.view("qpos"), "velocities": self.sim.view("qvel")}
 
-    def get_state(self, is_relative: bool = False) -> dict[str, dict[str, dict[str, torch.Tensor]]]:
+    def get_state(self, is_relative: bool = False) -> RobotState:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
         ``root_pose`` (N, 7) is a position, m, and a quaternion (w, x, y, z). With ``is_relative``, the position is
@@ -216,6 +217,16 @@ class Scene(Kept):
         root = {"root_pose": torch.cat((pos, data.root_quat_w), dim=1), "root_velocity": velocity}
         joints = {"joint_position": data.joint_pos, "joint_velocity": data.joint_vel}
         return {"articulation": {"robot": root | joints}}
+
+    def reset_to(self, state: RobotState, env_ids: torch.Tensor, is_relative: bool = False) -> None:
+        """Set the robot's state in the environments ``env_ids``; ``state`` has the layout of ``get_state``."""
+        robot, given = self.robot, state["articulation"]["robot"]
+        pose = given["root_pose"].clone()
+        if is_relative:
+            pose[:, :3] += self.env_origins[env_ids]
+        robot.write_root_pose_to_sim(pose, env_ids)
+        robot.write_root_velocity_to_sim(given["root_velocity"], env_ids)
+        robot.write_joint_state_to_sim(given["joint_position"], given["joint_velocity"], env_ids=env_ids)
 
     def written(self, asked: Collection[str]) -> dict[str, torch.Tensor]:
         """Return the tensors with the names ``asked``: model fields and wrenches that terms may have changed."""

@@ -3,15 +3,19 @@
 import json
 import shlex
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
 from jobs.small import refused, succeed, wheelleg
-from wheelleg_exp.jobs.drive.run_drive import RealTimePacer, drivable
+from wheelleg_exp.jobs.drive.drive_controls import Choose, Finish, Push
+from wheelleg_exp.jobs.drive.run_drive import DriveRequest, RealTimePacer, drivable, drive, policies
+from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.run.run_config import load_params
+from wheelleg_exp.run.run_directory import RunDirectory
 
 RANGES = [f"env.commands.base_velocity.ranges.{axis}=[-0.3,0.3]" for axis in ("lin_vel_x", "ang_vel_z")]
 SCRIPT = """\
@@ -108,6 +112,49 @@ def test_whoever_drives_is_not_disturbed(run):
     assert rough["terrain"]["_target_"].endswith("TerrainGenerator")
     assert rough["sensors"]["contact_forces"]["max_contacts"] == 8
     assert env["num_envs"] != 1
+
+
+class Hands:
+    """A user who pushes the robot over, has it get up, and drives on."""
+
+    def __init__(self):
+        self.opened, self.heights, self.asked = [], [], True
+
+    def open(self, session, choice, options, checkpoints):
+        self.session, self.asked = session, False
+        self.opened.append((choice.policy, checkpoints[-1].parent.name.split("_")[0]))
+        self.heights.append(float(session.env.scene.robot.data.root_pos_w[0, 2]))
+        session.controls.speed = 50.0
+        session.controls.set("lin_vel_x", 0.2)
+        return "nowhere"
+
+    def show(self, status):
+        policy = self.opened[-1][0]
+        if policy is None and status.fallen is None and status.time_s > 0.5:
+            self.session.controls.request(Push(2.5))
+        wanted = None
+        if policy is None and status.fallen is not None:
+            wanted = Choose(policy="stock:get_up")
+        elif policy == "stock:get_up" and status.time_s > 2.0:
+            wanted = Choose(policy="stock:walk")
+        elif policy == "stock:walk" and status.time_s > 4.0:
+            wanted = Finish()
+        if wanted is not None and not self.asked:
+            self.asked = True
+            self.session.controls.request(wanted)
+
+
+@pytest.mark.train
+def test_a_fallen_robot_gets_up_with_another_policy_and_drives_on():
+    run, hands = RunDirectory.open("stock:walk", "runs"), Hands()
+    request = DriveRequest(run, overrides=["recording.enabled=false"])
+    drives = drive(request, Display(), hands, policies(run, Path("runs")))
+    assert hands.opened == [(None, "walk"), ("stock:get_up", "get"), ("stock:walk", "walk")]
+    start, lying, standing = hands.heights
+    assert lying < 0.05 < 0.065 < standing < start
+    assert [made.figures["handed_over"] for made in drives] == [False, True, True]
+    assert [sum(made.figures["falls"].values()) for made in drives] == [1, 0, 0]
+    assert drives[2].figures["distance_m"] > 0.5  # m; the command asks for 0.8 m.
 
 
 def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():

@@ -103,10 +103,14 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """A user's request to load another checkpoint or to simulate another ground; None means no change."""
+    """A user's request to load another checkpoint or policy, or to simulate another ground; None means no change.
+
+    Another policy takes over the robot where it is, if the ground is the same.
+    """
 
     checkpoint: Path | None = None
     scene: str | None = None  # ``own`` (the training's ground), or a config name in Hydra's group ``scene``
+    policy: str | None = None  # a run, such as ``stock:get_up``
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,8 @@ _GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
 _BOX_STYLE = "font-size:0.82em;line-height:1.5;padding:0.2em 1em"
 KEYS_HELP = (
     f'<div style="{_BOX_STYLE};opacity:0.75">W S or arrows: forwards, back. A D: turn. Q E: sideways. T G: height. '
-    "Space: pause. R: reset. F: push. J: jump. X: stop. M: slow motion. A gamepad drives with its sticks.</div>"
+    "Space: pause. R: reset. F: push. J: jump. U: get up, and drive on. X: stop. M: slow motion. "
+    "A gamepad drives with its sticks.</div>"
 )
 
 
@@ -113,7 +114,10 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyT": ("height", 1.0),
     "KeyG": ("height", -1.0),
 }
-KEY_ACTIONS = {"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyJ": "jump", "KeyX": "stop", "KeyM": "slow"}
+KEY_ACTIONS = {
+    **{"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyJ": "jump", "KeyX": "stop", "KeyM": "slow"},
+    "KeyU": "get_up",
+}
 # Axis 1 of a standard gamepad is -1 if the left stick points forwards.
 # Axis 2 of a standard gamepad is 1 if the right stick points to the right.
 _STICKS: dict[int, tuple[str, float]] = {1: ("lin_vel_x", -1.0), 0: ("lin_vel_y", -1.0), 2: ("ang_vel_z", -1.0)}
@@ -128,13 +132,14 @@ class InputServer:
 
     When a web page disconnects, the commands that the page has set return to their neutral values. ``origins`` are the
     web origins that the server accepts, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of the robot
-    when the push key is pressed, m/s.
+    when the push key is pressed, m/s. ``next_policy`` takes over when the key for getting up is pressed.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
         from websockets.sync.server import serve
 
         self.controls, self.push = controls, 0.0
+        self.next_policy: str | None = None
         allowed: Any = list(origins)
         self._server = serve(self._listen, LOOPBACK, port, origins=allowed, max_size=_MAX_MESSAGE, compression=None)
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
@@ -176,6 +181,8 @@ class InputServer:
             controls.request(Push(self.push))
         elif name == "jump":
             controls.request(Jump())
+        elif name == "get_up" and self.next_policy is not None:
+            controls.request(Choose(policy=self.next_policy))
 
     def _listen(self, connection: Any) -> None:
         steered: set[str] = set()
@@ -209,7 +216,7 @@ _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "ba
 class DrivePage:
     """A context manager that serves a web page on which a user drives the robot, to browsers on this machine."""
 
-    def __init__(self, port: int, scenes: Sequence[str], checkpoints: Sequence[Path]) -> None:
+    def __init__(self, port: int, scenes: Sequence[str], policies: Sequence[str]) -> None:
         # Import the optional packages viser and mjviser only when a web page is requested.
         try:
             import viser
@@ -226,7 +233,8 @@ class DrivePage:
 
         self._server_class, self._scene_class = LocalServer, ViserMujocoScene
         self._port = port
-        self._scenes, self._checkpoints = list(scenes), {path.stem: path for path in checkpoints}
+        self._scenes, self._policies = list(scenes), list(policies)
+        self._policy = self._back = self._policies[0] if self._policies else None
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -261,9 +269,20 @@ class DrivePage:
         """The address for the browser."""
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
-    def open(self, session: DriveSession, choice: Choose, push: float) -> str:
-        """Show the driven robot, its ground, and sliders for commands on a web page, and return the page's URL."""
-        self._session, self._hands.push = session, push
+    def open(
+        self, session: DriveSession, choice: Choose, options: Mapping[str, Any], checkpoints: Sequence[Path]
+    ) -> str:
+        """Show the driven robot, its ground, and sliders for commands on a web page, and return the page's URL.
+
+        ``options`` is the section ``drive`` of the config.
+        """
+        self._session, self._hands.push = session, float(options["push"])
+        self._checkpoints = {path.stem: path for path in checkpoints}
+        self._policy = choice.policy or self._policy
+        get_up = options["get_up"] if options["get_up"] in self._policies else None
+        if self._policy != get_up:
+            self._back = self._policy
+        self._hands.next_policy = get_up if self._policy != get_up else self._back
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
@@ -344,6 +363,13 @@ class DrivePage:
         now = names[0] if choice.checkpoint is None else choice.checkpoint.stem
         checkpoint = gui.add_dropdown("Checkpoint", names, initial_value=now)
         scene = gui.add_dropdown("Ground", self._scenes, initial_value=choice.scene or self._scenes[0])
+        if self._policies:
+            policy = gui.add_dropdown("Policy", self._policies, initial_value=self._policy)
+
+            @policy.on_update
+            def _(_: Any) -> None:
+                if policy.value in self._policies:
+                    controls.request(Choose(policy=policy.value))
 
         @checkpoint.on_update
         def _(_: Any) -> None:

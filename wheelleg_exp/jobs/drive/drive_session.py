@@ -130,11 +130,15 @@ class Status:
 class DriveSession:
     """A simulated robot that a user drives. After an episode ends, the simulation waits for a call of ``reset``.
 
+    ``start`` is the state in which the robot starts (``scene.get_state(is_relative=True)``); None for a reset.
+
     ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
     while the episode runs.
     """
 
-    def __init__(self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor]) -> None:
+    def __init__(
+        self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor], start: Mapping[str, Any] | None = None
+    ) -> None:
         if adapter.num_envs != 1:
             raise ConfigError(f"a user can drive one robot, not {adapter.num_envs}", key="env.num_envs", expected="1")
         self._adapter, self._policy = adapter, policy
@@ -153,7 +157,10 @@ class DriveSession:
         for term in self._jumps:
             term.share = 0.0  # The user starts the jumps.
         self._hold(self.controls.values)
-        self.env.reset()
+        if start is None:
+            self.env.reset()
+        else:
+            self.env.reset_to(start, is_relative=True)
 
     @property
     def time_s(self) -> float:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,19 +27,36 @@ from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import Tree, prepare_policy
 from wheelleg_exp.jobs.rollout_files import close_dataset, dated_folder
+from wheelleg_exp.jobs.saved_robot import saved_mjcf
 from wheelleg_exp.packages import with_current
+from wheelleg_exp.run.run_config import load_params
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.stock_policies import PREFIX, stock_names
+from wheelleg_exp.sim.scene import RobotState
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # The name ``own`` selects the ground on which the policy was trained.
 _GROUP = "scene"
+_SETTINGS = ("seed=", "drive.", "recording.")  # overrides that fit every policy
 _DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``step``, such as pushes, disturb the robot.
 
 
 def scenes() -> list[str]:
     """Return the name ``own`` (the training's ground) and the names of all scene configs."""
     return [OWN_GROUND, *(entry.name for entry in options(_GROUP, with_current([])))]
+
+
+def policies(run: RunDirectory, root: Path) -> dict[str, RunDirectory]:
+    """Return the run, and the shipped policies for the run's robot with the same drives, by name."""
+    shipped = {PREFIX + name: RunDirectory.open(PREFIX + name, root) for name in stock_names()}
+    names = {other.path: name for name, other in shipped.items()}
+    same = {name: other for name, other in shipped.items() if _robot(other) == _robot(run)}
+    return {names.get(run.path, run.id): run} | same
+
+
+def _robot(run: RunDirectory) -> tuple[bytes, Any]:
+    return saved_mjcf(run).read_bytes(), load_params(run)[0]["robot"]["actuators"]
 
 
 def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
@@ -126,27 +143,55 @@ class DriveRequest:
     command: Sequence[str] = ()
 
 
-def drive(request: DriveRequest, display: Display, view: DrivePage | None = None) -> list[Drive]:
+@dataclass(frozen=True)
+class _End:
+    """What a drive leaves to the next one: the user's choice, and the robot's last state on this ground."""
+
+    choice: Choose
+    state: RobotState
+    ground: Any
+
+
+def drive(
+    request: DriveRequest,
+    display: Display,
+    view: DrivePage | None = None,
+    others: Mapping[str, RunDirectory] | None = None,
+) -> list[Drive]:
     """Simulate the driven robot until the user finishes; restart if the user chooses another checkpoint or ground.
+
+    If the user chooses another policy of ``others``, this policy takes over the robot.
 
     Without ``view``, the YAML file ``request.script`` must list timed commands, which are simulated as fast as
     possible. With ``view``, the commands of ``request.script`` are applied in real time before the user takes control.
     """
     drives: list[Drive] = []
-    choice: Choose | None = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
-    script = request.script
+    choice = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
+    before: _End | None = None
     with StopRequest() as stop:
-        while choice is not None:
-            made, choice = _drive_one(request, choice, script, display, view, stop)
+        while True:
+            made, before = _drive_one(request, choice, before, display, view, stop)
             drives.append(made)
-            script = None
-    return drives
+            if before is None:
+                return drives
+            choice, request = before.choice, replace(request, script=None)
+            if choice.policy is not None:
+                run = (others or {})[choice.policy]
+                # The other overrides fit the first policy, and perhaps no other.
+                kept = [word for word in request.overrides if word.startswith(_SETTINGS)]
+                request = replace(request, run=run, overrides=kept)
+                choice = replace(choice, checkpoint=run.latest_checkpoint())
 
 
 def _drive_one(
-    request: DriveRequest, pick: Choose, path: Path | None, display: Display, view: DrivePage | None, stop: StopRequest
-) -> tuple[Drive, Choose | None]:
-    """Simulate a driven robot; if the user chose a new checkpoint or ground, also return this choice."""
+    request: DriveRequest,
+    pick: Choose,
+    before: _End | None,
+    display: Display,
+    view: DrivePage | None,
+    stop: StopRequest,
+) -> tuple[Drive, _End | None]:
+    """Simulate a driven robot; if the user chose a new checkpoint, policy, or ground, also return this choice."""
     scene = pick.scene or OWN_GROUND
     # If the name of the scene is unknown, raise ConfigError.
     known = scenes()
@@ -157,18 +202,21 @@ def _drive_one(
     prepared = prepare_policy(
         request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
     )
-    session = DriveSession(prepared.adapter, prepared.policy)
-    script = None if path is None else read_script(path, session.axes)
+    ground = prepared.tree["env"]["scene"]["terrain"]
+    hands_over = before is not None and pick.policy is not None and before.ground == ground
+    session = DriveSession(prepared.adapter, prepared.policy, before.state if before and hands_over else None)
+    script = None if request.script is None else read_script(request.script, session.axes)
     with dated_folder(request.run.play) as folder:
         tree = prepared.tree
         recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
         with recording or nullcontext():
             if view is not None:
-                where = view.open(session, Choose(prepared.checkpoint, pick.scene), float(tree["drive"]["push"]))
+                now = Choose(prepared.checkpoint, pick.scene, pick.policy)
+                where = view.open(session, now, tree["drive"], request.run.checkpoints())
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
             following = _Driver(session, script, tree["drive"], display, view, stop).run()
             content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
-            content |= session.meter.figures()
+            content |= {"handed_over": hands_over, **session.meter.figures()}
             if recording is not None:
                 recording.figures(content)
         driven = folder / "driven.yaml"
@@ -180,7 +228,8 @@ def _drive_one(
     made = Drive(prepared.checkpoint, folder, recording.path if recording else None, content)
     if following is None:
         return made, None
-    return made, Choose(following.checkpoint or prepared.checkpoint, following.scene or pick.scene)
+    choice = Choose(following.checkpoint or prepared.checkpoint, following.scene or pick.scene, following.policy)
+    return made, _End(choice, session.env.scene.get_state(is_relative=True), ground)
 
 
 class _Driver:
@@ -206,7 +255,7 @@ class _Driver:
     @ending_as(SimulationFailure)
     @torch.inference_mode()
     def run(self) -> Choose | None:
-        """Simulate the driven robot; if the user chooses another checkpoint or ground, stop and return this choice."""
+        """Simulate the driven robot; if the user makes another choice, stop and return this choice."""
         while not self._is_over():
             for request in self._requests():
                 if isinstance(request, Finish):
