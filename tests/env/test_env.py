@@ -109,7 +109,7 @@ def test_reset_to_starts_some_environments_in_a_given_state_with_a_fresh_history
     for _ in range(5):
         env.step(-torch.ones(4, 4))
     others = env.scene.sim.view("qpos")[[1, 3]].clone()
-    ids = torch.tensor([0, 2])
+    ids = torch.tensor([2, 0])
     observations, _ = env.reset_to({"articulation": {"robot": wanted}}, ids)
     found = env.scene.get_state()["articulation"]["robot"]
     for name, value in wanted.items():

@@ -99,6 +99,8 @@ def _print(made: Drive) -> None:
     words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
     words += [] if scene == OWN_GROUND else ["--scene", scene]
     words += ["--script", shown(made.folder / "driven.yaml")]
-    if not made.figures["handed_over"]:  # A script starts with a reset.
+    if made.figures["handed_over"]:
+        print("\nnot repeatable: it started in the last state of the drive before")
+    else:
         print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
     print_recording(made.recording)

@@ -186,7 +186,10 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         seed: int | None = None,
         is_relative: bool = False,
     ) -> tuple[Observations, dict[str, Any]]:
-        """Reset environments like ``reset``, but start them in ``state``, which ``scene.get_state`` returns."""
+        """Reset environments like ``reset``, but start the robots in a given state, as in Isaac Lab.
+
+        ``state`` has the layout of ``scene.get_state``; row i belongs to the environment ``env_ids[i]``.
+        """
         return self._restart(seed, env_ids, state, is_relative)
 
     def _restart(
@@ -200,7 +203,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if len(ids):
             self._reset_idx(ids)
         if state is not None:
-            self.scene.reset_to(state, ids, is_relative)
+            self.scene.reset_to(state, env_ids, is_relative)
         self.scene.refresh()
         self.recorder_manager.record_post_reset(ids)
         only = None

@@ -86,8 +86,11 @@ class Case:
         """
         replaced = (self.env.get("realism") or {}).get("replaces", ()) if section == "events" else ()
         for found, path, node in term_nodes(self.config):
-            view = TermView(path.rsplit(".", 1)[-1], path, kind_of(str(node[TARGET]), path), node)
-            if found == section and view.name not in replaced and (not kinds or view.kind in kinds):
+            name = path.rsplit(".", 1)[-1]
+            if found != section or name in replaced:
+                continue
+            view = TermView(name, path, kind_of(str(node[TARGET]), path), node)
+            if not kinds or view.kind in kinds:
                 yield view
 
     def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:

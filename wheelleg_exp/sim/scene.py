@@ -218,13 +218,16 @@ class Scene(Kept):
         joints = {"joint_position": data.joint_pos, "joint_velocity": data.joint_vel}
         return {"articulation": {"robot": root | joints}}
 
-    def reset_to(self, state: RobotState, env_ids: torch.Tensor, is_relative: bool = False) -> None:
-        """Set the robot's state in the environments ``env_ids``; ``state`` has the layout of ``get_state``."""
+    def reset_to(self, state: RobotState, env_ids: torch.Tensor | None = None, is_relative: bool = False) -> None:
+        """Set the robot's state in the environments ``env_ids`` (n,); None for all.
+
+        ``state`` has the layout of ``get_state``; row i belongs to the environment ``env_ids[i]``.
+        """
         robot, given = self.robot, state["articulation"]["robot"]
-        pose = given["root_pose"].clone()
+        pos, quat = given["root_pose"].split((3, 4), dim=1)
         if is_relative:
-            pose[:, :3] += self.env_origins[env_ids]
-        robot.write_root_pose_to_sim(pose, env_ids)
+            pos = pos + (self.env_origins if env_ids is None else self.env_origins[env_ids])
+        robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), env_ids)
         robot.write_root_velocity_to_sim(given["root_velocity"], env_ids)
         robot.write_joint_state_to_sim(given["joint_position"], given["joint_velocity"], env_ids=env_ids)
 

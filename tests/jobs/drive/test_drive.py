@@ -157,6 +157,17 @@ def test_a_fallen_robot_gets_up_with_another_policy_and_drives_on():
     assert drives[2].figures["distance_m"] > 0.5  # m; the command asks for 0.8 m.
 
 
+@pytest.mark.train
+def test_a_policy_takes_over_on_the_ground_where_the_robot_is():
+    tree, _ = load_params(RunDirectory.open("stock:get_up", "runs"))
+    options = {"env": tree, "drive": {"episode_length_s": 10.0}}
+    rough = drivable(options, "rough")["env"]["scene"]
+    taken = drivable(options, handed_over=rough)["env"]
+    assert taken["scene"]["terrain"] == rough["terrain"] != tree["scene"]["terrain"]
+    assert "reset_lying" in tree["events"]
+    assert "reset_lying" not in taken["events"]  # The resting poses fit only level ground.
+
+
 def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
     now, slept = [0.0], []
 

@@ -8,7 +8,8 @@ import torch
 
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_page import DrivePage
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -144,3 +145,21 @@ def test_requests_of_many_threads_are_all_taken_once(tmp_path):
         taken += controls.take()
     taken += controls.take()
     assert (len(taken), controls.take()) == (400, [])
+
+
+def test_the_key_for_getting_up_hands_over_and_back(tmp_path):
+    pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
+    session, options = cart(tmp_path), {"push": 0.1, "get_up": "stock:get_up"}
+    asked = []
+    with DrivePage(0, ["own"], ["mine", "stock:get_up"]) as page:
+        for now in (None, "stock:get_up", "mine"):
+            page.open(session, Choose(policy=now), options, [tmp_path / "model_1.pt"])
+            page._hands.press("get_up")
+            asked += session.controls.take()
+        with pytest.raises(ConfigError, match=r"drive\.get_up: there is no policy 'stock:got_up'.*did you mean"):
+            page.open(session, Choose(), {**options, "get_up": "stock:got_up"}, [])
+    assert asked == [Choose(policy=name) for name in ("stock:get_up", "mine", "stock:get_up")]
+    with DrivePage(0, ["own"], ["stock:get_up"]) as page:  # There is no policy to hand the robot back to.
+        page.open(session, Choose(), options, [tmp_path / "model_1.pt"])
+        page._hands.press("get_up")
+    assert session.controls.take() == []

@@ -105,7 +105,7 @@ class Reset:
 class Choose:
     """A user's request to load another checkpoint or policy, or to simulate another ground; None means no change.
 
-    Another policy takes over the robot where it is, if the ground is the same.
+    Another policy takes over the robot in its present state and on its present ground.
     """
 
     checkpoint: Path | None = None

@@ -20,11 +20,12 @@ from typing import Any, Self
 
 import mujoco
 
-from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
 from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK
+from wheelleg_exp.run.stock_policies import PREFIX, stock_names
 
 
 def require_free(port: int, use: str) -> None:
@@ -234,7 +235,8 @@ class DrivePage:
         self._server_class, self._scene_class = LocalServer, ViserMujocoScene
         self._port = port
         self._scenes, self._policies = list(scenes), list(policies)
-        self._policy = self._back = self._policies[0] if self._policies else None
+        self._policy = self._policies[0] if self._policies else None
+        self._back: str | None = None  # the policy to which the key for getting up hands the robot back
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -277,12 +279,18 @@ class DrivePage:
         ``options`` is the section ``drive`` of the config.
         """
         self._session, self._hands.push = session, float(options["push"])
+        session.controls.paused, session.controls.speed = self._hands.controls.paused, self._hands.controls.speed
         self._checkpoints = {path.stem: path for path in checkpoints}
         self._policy = choice.policy or self._policy
-        get_up = options["get_up"] if options["get_up"] in self._policies else None
+        get_up, shipped = options["get_up"], [PREFIX + name for name in stock_names()]
+        if get_up not in (None, *self._policies, *shipped):
+            known, message = [*self._policies, *shipped], f"there is no policy '{get_up}'"
+            expected, nearest = "one of " + ", ".join(dict.fromkeys(known)), nearest_name(get_up, known)
+            raise ConfigError(message, key="drive.get_up", expected=expected, nearest=nearest)
         if self._policy != get_up:
             self._back = self._policy
-        self._hands.next_policy = get_up if self._policy != get_up else self._back
+        other = get_up if self._policy != get_up else self._back
+        self._hands.next_policy = other if other in self._policies else None
         self._controls = self._hands.controls = session.controls
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()

@@ -130,7 +130,7 @@ class Status:
 class DriveSession:
     """A simulated robot that a user drives. After an episode ends, the simulation waits for a call of ``reset``.
 
-    ``start`` is the state in which the robot starts (``scene.get_state(is_relative=True)``); None for a reset.
+    ``start`` is the state in which the robot starts (``scene.get_state()``); None for a reset.
 
     ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
     while the episode runs.
@@ -160,7 +160,7 @@ class DriveSession:
         if start is None:
             self.env.reset()
         else:
-            self.env.reset_to(start, is_relative=True)
+            self.env.reset_to(start)
 
     @property
     def time_s(self) -> float:

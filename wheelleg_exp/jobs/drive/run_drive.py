@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import torch
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
-from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
 from wheelleg_exp.jobs.drive.drive_page import DrivePage
@@ -38,7 +38,8 @@ from wheelleg_exp.user_exceptions import ending_as
 
 OWN_GROUND = "own"  # The name ``own`` selects the ground on which the policy was trained.
 _GROUP = "scene"
-_SETTINGS = ("seed=", "drive.", "recording.")  # overrides that fit every policy
+_SETTINGS = ("seed=", "drive.", "recording.")  # overrides that do not depend on the policy
+_RESTING = "reset_to_resting_pose"  # fits only level ground; a policy that takes over does not need it
 _DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``step``, such as pushes, disturb the robot.
 
 
@@ -48,8 +49,11 @@ def scenes() -> list[str]:
 
 
 def policies(run: RunDirectory, root: Path) -> dict[str, RunDirectory]:
-    """Return the run, and the shipped policies for the run's robot with the same drives, by name."""
-    shipped = {PREFIX + name: RunDirectory.open(PREFIX + name, root) for name in stock_names()}
+    """Return the run, and the undamaged shipped policies for the run's robot with the same actuators, by name."""
+    shipped: dict[str, RunDirectory] = {}
+    for name in stock_names():
+        with suppress(RunDirectoryError):
+            shipped[PREFIX + name] = RunDirectory.open(PREFIX + name, root)
     names = {other.path: name for name, other in shipped.items()}
     same = {name: other for name, other in shipped.items() if _robot(other) == _robot(run)}
     return {names.get(run.path, run.id): run} | same
@@ -59,12 +63,13 @@ def _robot(run: RunDirectory) -> tuple[bytes, Any]:
     return saved_mjcf(run).read_bytes(), load_params(run)[0]["robot"]["actuators"]
 
 
-def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
+def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = None) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
     ``drivable`` sets one environment and episodes of ``drive.episode_length_s`` seconds, and removes the curriculum.
     Events, such as pushes, happen only at startup and reset. Heading control and random zero commands are switched off.
     ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
+    ``handed_over`` is the config of the scene in which a policy takes over the robot from another policy.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -76,13 +81,17 @@ def drivable(tree: Tree, scene: str = OWN_GROUND) -> Tree:
         node |= {k: v for k, v in {"rel_standing_envs": 0.0, "heading_command": False}.items() if k in node}
         if "heading_command" in node:
             node["ranges"] = {**node["ranges"], "heading": None}
-    if scene != OWN_GROUND:
-        # Use the chosen scene's ground, and its configs of those sensors that the training also has.
-        own = env["scene"]
+    other = handed_over
+    if other is None and scene != OWN_GROUND:
         other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
+    if other is not None:
+        # Use the other scene's ground, and its configs of those sensors that the training also has.
+        own = env["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
         ground = {key: value for key, value in other.items() if key != "sensors"}
-        env["scene"] = {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
+        env["scene"] = copy.deepcopy({**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}})
+    if handed_over is not None:
+        env["events"] = {k: node for k, node in env["events"].items() if not str(node["_target_"]).endswith(_RESTING)}
     return tree
 
 
@@ -145,11 +154,11 @@ class DriveRequest:
 
 @dataclass(frozen=True)
 class _End:
-    """What a drive leaves to the next one: the user's choice, and the robot's last state on this ground."""
+    """What a drive leaves to the next one: the user's choice, the robot's last state, and the config of its scene."""
 
     choice: Choose
     state: RobotState
-    ground: Any
+    scene: Tree
 
 
 def drive(
@@ -158,14 +167,16 @@ def drive(
     view: DrivePage | None = None,
     others: Mapping[str, RunDirectory] | None = None,
 ) -> list[Drive]:
-    """Simulate the driven robot until the user finishes; restart if the user chooses another checkpoint or ground.
+    """Simulate the driven robot until the user finishes.
 
-    If the user chooses another policy of ``others``, this policy takes over the robot.
+    If the user chooses another checkpoint or ground, the robot is reset. If the user chooses another policy of
+    ``others``, this policy takes over the robot in its present state.
 
     Without ``view``, the YAML file ``request.script`` must list timed commands, which are simulated as fast as
     possible. With ``view``, the commands of ``request.script`` are applied in real time before the user takes control.
     """
     drives: list[Drive] = []
+    first = request
     choice = Choose(request.checkpoint or request.run.latest_checkpoint(), request.scene)
     before: _End | None = None
     with StopRequest() as stop:
@@ -176,11 +187,12 @@ def drive(
                 return drives
             choice, request = before.choice, replace(request, script=None)
             if choice.policy is not None:
-                run = (others or {})[choice.policy]
-                # The other overrides fit the first policy, and perhaps no other.
-                kept = [word for word in request.overrides if word.startswith(_SETTINGS)]
-                request = replace(request, run=run, overrides=kept)
-                choice = replace(choice, checkpoint=run.latest_checkpoint())
+                run, checkpoint, overrides = (others or {})[choice.policy], first.checkpoint, first.overrides
+                if run.path != first.run.path:
+                    # The other overrides fit the first policy, and perhaps no other.
+                    checkpoint, overrides = None, [word for word in overrides if word.startswith(_SETTINGS)]
+                request = replace(request, run=run, overrides=overrides)
+                choice = replace(choice, checkpoint=checkpoint or run.latest_checkpoint())
 
 
 def _drive_one(
@@ -199,12 +211,12 @@ def _drive_one(
         message = f"unknown ground '{scene}'"
         expected = "one of " + ", ".join(known)
         raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
+    left = before if pick.policy is not None else None
+    around = None if left is None else left.scene
     prepared = prepare_policy(
-        request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene)
+        request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene, around)
     )
-    ground = prepared.tree["env"]["scene"]["terrain"]
-    hands_over = before is not None and pick.policy is not None and before.ground == ground
-    session = DriveSession(prepared.adapter, prepared.policy, before.state if before and hands_over else None)
+    session = DriveSession(prepared.adapter, prepared.policy, None if left is None else left.state)
     script = None if request.script is None else read_script(request.script, session.axes)
     with dated_folder(request.run.play) as folder:
         tree = prepared.tree
@@ -216,7 +228,7 @@ def _drive_one(
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
             following = _Driver(session, script, tree["drive"], display, view, stop).run()
             content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
-            content |= {"handed_over": hands_over, **session.meter.figures()}
+            content |= {"handed_over": left is not None, **session.meter.figures()}
             if recording is not None:
                 recording.figures(content)
         driven = folder / "driven.yaml"
@@ -229,7 +241,7 @@ def _drive_one(
     if following is None:
         return made, None
     choice = Choose(following.checkpoint or prepared.checkpoint, following.scene or pick.scene, following.policy)
-    return made, _End(choice, session.env.scene.get_state(is_relative=True), ground)
+    return made, _End(choice, session.env.scene.get_state(), prepared.tree["env"]["scene"])
 
 
 class _Driver:
