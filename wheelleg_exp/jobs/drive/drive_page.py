@@ -116,8 +116,13 @@ KEYS: dict[str, tuple[str, float]] = {
     "KeyG": ("height", -1.0),
 }
 KEY_ACTIONS = {
-    **{"Space": "pause", "KeyR": "reset", "KeyF": "push", "KeyJ": "jump", "KeyX": "stop", "KeyM": "slow"},
+    "Space": "pause",
+    "KeyR": "reset",
+    "KeyF": "push",
+    "KeyJ": "jump",
     "KeyU": "get_up",
+    "KeyX": "stop",
+    "KeyM": "slow",
 }
 # Axis 1 of a standard gamepad is -1 if the left stick points forwards.
 # Axis 2 of a standard gamepad is 1 if the right stick points to the right.
@@ -282,11 +287,11 @@ class DrivePage:
         session.controls.paused, session.controls.speed = self._hands.controls.paused, self._hands.controls.speed
         self._checkpoints = {path.stem: path for path in checkpoints}
         self._policy = choice.policy or self._policy
-        get_up, shipped = options["get_up"], [PREFIX + name for name in stock_names()]
-        if get_up not in (None, *self._policies, *shipped):
-            known, message = [*self._policies, *shipped], f"there is no policy '{get_up}'"
-            expected, nearest = "one of " + ", ".join(dict.fromkeys(known)), nearest_name(get_up, known)
-            raise ConfigError(message, key="drive.get_up", expected=expected, nearest=nearest)
+        get_up = options["get_up"]
+        known = list(dict.fromkeys([*self._policies, *(PREFIX + name for name in stock_names())]))
+        if get_up not in (None, *known):
+            message, expected, nearest = f"there is no policy '{get_up}'", ", ".join(known), nearest_name(get_up, known)
+            raise ConfigError(message, key="drive.get_up", expected=f"one of {expected}", nearest=nearest)
         if self._policy != get_up:
             self._back = self._policy
         other = get_up if self._policy != get_up else self._back

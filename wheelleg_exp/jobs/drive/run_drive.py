@@ -54,8 +54,8 @@ def policies(run: RunDirectory, root: Path) -> dict[str, RunDirectory]:
     for name in stock_names():
         with suppress(RunDirectoryError):
             shipped[PREFIX + name] = RunDirectory.open(PREFIX + name, root)
-    names = {other.path: name for name, other in shipped.items()}
-    same = {name: other for name, other in shipped.items() if _robot(other) == _robot(run)}
+    names, robot = {other.path: name for name, other in shipped.items()}, _robot(run)
+    same = {name: other for name, other in shipped.items() if _robot(other) == robot}
     return {names.get(run.path, run.id): run} | same
 
 
@@ -89,7 +89,7 @@ def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = Non
         own = env["scene"]
         shared = {key: node for key, node in other.get("sensors", {}).items() if key in (own.get("sensors") or {})}
         ground = {key: value for key, value in other.items() if key != "sensors"}
-        env["scene"] = copy.deepcopy({**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}})
+        env["scene"] = {**own, **ground, "sensors": {**(own.get("sensors") or {}), **shared}}
     if handed_over is not None:
         env["events"] = {k: node for k, node in env["events"].items() if not str(node["_target_"]).endswith(_RESTING)}
     return tree
@@ -181,11 +181,12 @@ def drive(
     before: _End | None = None
     with StopRequest() as stop:
         while True:
-            made, before = _drive_one(request, choice, before, display, view, stop)
+            made, end = _drive_one(request, choice, before, display, view, stop)
             drives.append(made)
-            if before is None:
+            if end is None:
                 return drives
-            choice, request = before.choice, replace(request, script=None)
+            choice, request = end.choice, replace(request, script=None)
+            before = None if choice.policy is None else end
             if choice.policy is not None:
                 run, checkpoint, overrides = (others or {})[choice.policy], first.checkpoint, first.overrides
                 if run.path != first.run.path:
@@ -203,7 +204,10 @@ def _drive_one(
     view: DrivePage | None,
     stop: StopRequest,
 ) -> tuple[Drive, _End | None]:
-    """Simulate a driven robot; if the user chose a new checkpoint, policy, or ground, also return this choice."""
+    """Simulate a driven robot; if the user chose a new checkpoint, policy, or ground, also return this choice.
+
+    ``before`` is the drive from which the policy takes over the robot; None for a reset.
+    """
     scene = pick.scene or OWN_GROUND
     # If the name of the scene is unknown, raise ConfigError.
     known = scenes()
@@ -211,12 +215,11 @@ def _drive_one(
         message = f"unknown ground '{scene}'"
         expected = "one of " + ", ".join(known)
         raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
-    left = before if pick.policy is not None else None
-    around = None if left is None else left.scene
+    state, around = (None, None) if before is None else (before.state, before.scene)
     prepared = prepare_policy(
         request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene, around)
     )
-    session = DriveSession(prepared.adapter, prepared.policy, None if left is None else left.state)
+    session = DriveSession(prepared.adapter, prepared.policy, state)
     script = None if request.script is None else read_script(request.script, session.axes)
     with dated_folder(request.run.play) as folder:
         tree = prepared.tree
@@ -228,7 +231,7 @@ def _drive_one(
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
             following = _Driver(session, script, tree["drive"], display, view, stop).run()
             content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
-            content |= {"handed_over": left is not None, **session.meter.figures()}
+            content |= {"handed_over": before is not None, **session.meter.figures()}
             if recording is not None:
                 recording.figures(content)
         driven = folder / "driven.yaml"
