@@ -96,6 +96,7 @@ def test_a_sweeps_runs_show_what_differs(root):
         (("runs", "--sort", "retrun"), ["no run has 'retrun'", "did you mean 'return'"]),
         (("runs", "--sweep", "yesterday"), ["there is no sweep 'yesterday'", "'latest', or one of 20"]),
         (("tasks", "--sort", "task"), ["apply only to the list of runs"]),
+        (("runs", "run.root=here"), ["run.root=here: 'runs' has no groups", "--root"]),
     ],
 )
 def test_a_wrong_choice_is_refused_in_one_message(root, words, expected):

@@ -63,7 +63,9 @@ def test_a_shipped_policy_starts_a_training_and_is_not_resumed(own_folders):
     weights = [state["actor_state_dict"]["mlp.0.weight"] for state in (trained, stock)]
     assert torch.allclose(*weights, atol=1e-6)
     resumed = wheelleg("resume", "stock:walk", "agent.max_iterations=900")
-    assert (resumed.status, "a training cannot be resumed from it" in resumed.err) == (2, True), resumed.err
+    assert (resumed.status, "a new training with init_from=stock:walk" in resumed.err) == (2, True), resumed.err
+    assert "ships without the log" in refusal("replay", "stock:walk")
+    assert "ships without the log" in refusal("results", "page", "stock:walk", "protocol=stand")
     assert RunDirectory.open("stock:walk", "runs").manifest().status == "finished"
 
 

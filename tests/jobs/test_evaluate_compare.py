@@ -60,6 +60,10 @@ def test_a_missing_run_or_checkpoint_is_reported_before_any_evaluation(run, word
     assert not run.evaluation.exists()
 
 
+def test_a_misspelt_reference_is_recognised(run):
+    assert "did you mean 'reference'?" in refused("evaluate", run.path, "--against", "refrence", *SHORT)
+
+
 def test_one_training_named_twice_does_not_count_as_two_seeds(run):
     assert "is named twice" in refused("evaluate", run.path, run.path, *SHORT)
 

@@ -166,9 +166,14 @@ def test_settings_that_do_not_fit_the_networks_are_named(trained: Trained, tmp_p
 
 
 def test_a_checkpoint_can_be_named_and_what_keeps_its_place_and_means_something_else_is_told(trained, tmp_path):
-    words = ("agent.max_iterations=1", "++env.observations.policy.terms.base_ang_vel.scale=0.5")
+    words = (
+        "agent.max_iterations=1",
+        "++env.observations.policy.terms.base_ang_vel.scale=0.5",
+        "env.robot.profile=heavy",
+    )
     found = succeed("train", *WORDS, f"init_from={trained.run.checkpoint(0)}", f"run.root={tmp_path}", *words)
     assert "note: env.observations.policy.terms.base_ang_vel.scale was 0.25 and is 0.5" in found.err
+    assert "note: env.robot.profile was article and is heavy" in found.err
     (path,) = tmp_path.glob("stand/*/manifest.json")
     assert json.loads(path.read_text())["init_from"]["checkpoint"] == "model_0.pt"
 

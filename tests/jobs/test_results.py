@@ -186,6 +186,16 @@ def test_only_results_are_made_again_and_all_are_looked_for_before_any_is(writte
     assert "wheelleg train" not in told
 
 
+def test_a_training_from_a_shipped_policy_starts_again_with_this_policy(trained, tmp_path):
+    run = copied(trained, tmp_path)
+    path = run.hydra / "overrides.yaml"
+    write_text(path, path.read_text() + "- init_from=stock:walk\n")
+    manifest = json.loads((run.path / "manifest.json").read_text())
+    write_json(run.path / "manifest.json", manifest | {"init_from": {"run": "walk_0123abcd", "named": "stock:walk"}})
+    found = recipe(RunDirectory.open(run.path, tmp_path))
+    assert (found["overrides"][-1], found["begins_with"]) == ("init_from=stock:walk", None)
+
+
 def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatch):
     assert main(["results", "other", str(run.path), *SHORT, "--into", str(written)]) == 0
     trained = []
@@ -224,7 +234,7 @@ def test_the_page_has_the_numbers_the_commands_and_the_manifests(run, first, wri
     assert str(first) not in (page + json.dumps(record) + json.dumps(manifest))
 
 
-def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written):
+def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_nothing_else(run, written, capsys):
     record = json.loads((written / "small.json").read_text())
     record["runs"] = [{**record["runs"][0], "id": name} for name in ("another", "../outside", "folder")]
     write_json(written / "small.json", record)
@@ -232,6 +242,10 @@ def test_a_result_takes_the_place_of_an_earlier_one_with_its_manifests_and_of_no
         (written / "small" / f"{name}.json").parent.mkdir(exist_ok=True)
         write_json(written / "small" / f"{name}.json", {})
     words = ["results", "small", str(run.path), *SHORT, "--into", str(written)]
+    kept = {path: path.read_bytes() for path in written.rglob("*.*") if path.is_file()}
+    assert (main(words), "--replace" in capsys.readouterr().err) == (2, True)
+    assert {path: path.read_bytes() for path in kept} == kept
+    words.append("--replace")
     assert (main(words), {path.stem for path in (written / "small").iterdir()}) == (0, {run.id, "own", "folder"})
     assert (written / "outside.json").is_file()
 

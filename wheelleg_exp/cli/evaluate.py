@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
 from wheelleg_exp.cli.printing.terminal import shown
-from wheelleg_exp.errors import EXIT_OK, WheellegError
+from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
 
 if TYPE_CHECKING:
@@ -53,6 +53,10 @@ def run(args: argparse.Namespace) -> int:
     if REFERENCE in args.against and others:
         message = "a comparison is either with runs or with the reference"
         raise WheellegError(message, key="--against", expected="runs, or 'reference'")
+    for name in others:
+        if nearest_name(name, [REFERENCE]) and not Path(name).exists():
+            message, expected = f"there is no run '{name}'", "a run, or 'reference'"
+            raise WheellegError(message, key="--against", expected=expected, nearest=REFERENCE)
     engines = _engines(args)
     chosen, opposite = found(args, names), found(args, others)
     with ConsoleDisplay(quiet=True) as display:

@@ -61,6 +61,10 @@ def run(args: argparse.Namespace) -> int:
     if args.kind != "runs" and (args.filter or args.sort or args.reverse or args.sweep):
         message = "--filter, --sort, --reverse and --sweep apply only to the list of runs"
         raise UsageError(message, key=args.kind, expected="list runs")
+    if args.group is not None and args.kind not in ("terms", "options"):
+        message = f"'{args.kind}' has no groups"
+        expected = "--filter with conditions, or --root with a folder" if args.kind == "runs" else "no further word"
+        raise UsageError(message, key=args.group, expected=expected)
     listed = _LISTS[args.kind](args)
     rows = [list(map(_cell, row)) for row in listed.rows]
     if args.json:

@@ -37,8 +37,10 @@ def run(args: argparse.Namespace) -> int:
 
     with StopRequest() as stop:
         from wheelleg_exp.run.run_directory import RunDirectory
+        from wheelleg_exp.run.stock_policies import refuse_stock
 
         directory = RunDirectory.open(args.run, args.root)
+        refuse_stock(directory.path, directory.manifest().data.get("stock"))
 
         from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
         from wheelleg_exp.jobs.replay.replay_run import replay

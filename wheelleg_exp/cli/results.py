@@ -26,6 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     text = "evaluate the linear-quadratic reference controller too, and compare"
     parser.add_argument("--reference", action="store_true", help=text)
     parser.add_argument("--kept", action="store_true", help="use a run's stored evaluation of this protocol")
+    parser.add_argument("--replace", action="store_true", help="replace a result of this name")
     text = "re-run the recorded trainings and evaluations, and compare bit by bit"
     parser.add_argument("--again", action="store_true", help=text)
     add_config_dir(parser)
@@ -56,6 +57,9 @@ def _write(args: argparse.Namespace) -> int:
     if not names:
         raise WheellegError("the command line names no run to evaluate", key="RUN", expected="the runs of the table")
     earlier_manifests(args.name, args.into)  # Raise an error before overwriting a file that is not a results page.
+    if (path := args.into / f"{args.name}.json").exists() and not args.replace:
+        expected = "another name, or --replace, which removes the old page and its manifests"
+        raise WheellegError("there is a result of this name", key=shown(path.absolute()), expected=expected)
     chosen = found(args, names)
     require_one_method([directory for directory, _ in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:

@@ -80,7 +80,9 @@ def _opened(args: argparse.Namespace) -> RunDirectory:
     """Open the run to resume, and make MKL use the same matrix kernels as before the interruption."""
     from wheelleg_exp.machine import keep_kernels
     from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.run.stock_policies import refuse_stock
 
     directory = RunDirectory.open(args.run, args.root)
+    refuse_stock(directory.path, directory.manifest().data.get("stock"))
     keep_kernels(directory.manifest().data.get("environment_variables") or {})
     return directory

@@ -20,6 +20,7 @@ from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
 from wheelleg_exp.run.run_config import require_overrides
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.stock_policies import PREFIX, refuse_stock
 from wheelleg_exp.verify.run_differences import is_the_machine
 
 _MARK = "¹"
@@ -135,7 +136,7 @@ _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# A reproduced training ignores the original run's overrides of ``run``, ``init_from``, and ``recording``.
+# A reproduced training ignores the original run's overrides of ``run``, ``recording``, and an ``init_from`` of a run.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -270,6 +271,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     uninterrupted training cannot reproduce the run, raise RunDirectoryError.
     """
     data = run.manifest().data
+    refuse_stock(run.path, data.get("stock"))
     longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
@@ -282,10 +284,11 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
         overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
-    words = [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)]
-    found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
     began = data.get("init_from")
-    if isinstance(began, Mapping):
+    stock = f"init_from={PREFIX}"  # Every user has the policies that ship with ``wheelleg_exp``.
+    words = [w for w in overrides if w.startswith(stock) or not w.lstrip("+~").startswith(_LOCATION_PREFIXES)]
+    found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
+    if isinstance(began, Mapping) and not any(word.startswith(stock) for word in words):
         parent = RunDirectory.open(str(began["run"]), run.root)
         found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
     return found

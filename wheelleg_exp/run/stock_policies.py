@@ -61,6 +61,13 @@ def is_stock(folder: Path, name: object) -> bool:
     return name in stock_names() and _changed_file(assets_dir() / "policies" / f"{name}.zip", folder) is None
 
 
+def refuse_stock(folder: Path, name: object) -> None:
+    """Raise RunDirectoryError for a policy that ships with ``wheelleg_exp``: its training cannot be continued."""
+    if is_stock(folder, name):
+        message = f"'{PREFIX}{name}' ships without the log, the source, and the optimiser of its training"
+        raise RunDirectoryError(message, expected=f"a run of your own, or a new training with init_from={PREFIX}{name}")
+
+
 def _changed_file(packed: Path, folder: Path) -> Path | None:
     with zipfile.ZipFile(packed) as archive:
         for entry in archive.namelist():

@@ -90,6 +90,12 @@ def test_a_mistake_is_told_with_its_line(script, text, words):
     assert "script.yaml" in str(told.value)
 
 
+def test_a_task_without_jumps_has_no_jumps_in_its_scripts(script):
+    assert read_script(script("- {jump: true, for: 1}"), AXES).entries[0].requests
+    with pytest.raises(ConfigError, match="jump: unknown key"):
+        read_script(script("- {jump: true, for: 1}"), AXES, jumps=False)
+
+
 def test_a_script_that_is_not_there_is_told(tmp_path):
     with pytest.raises(RunDirectoryError, match="nowhere"):
         read_script(tmp_path / "nowhere.yaml", AXES)

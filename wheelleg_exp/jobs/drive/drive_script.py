@@ -68,8 +68,12 @@ class ScriptPlayer:
         self._next = max(due, self._next)
 
 
-def read_script(path: Path, axes: Sequence[Axis]) -> Script:
-    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line of the script."""
+def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Script:
+    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line of the script.
+
+    ``jumps`` tells whether the task commands jumps; otherwise ``jump`` is an unknown key.
+    """
+    actions = [name for name in _ACTIONS if jumps or name != "jump"]
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
@@ -86,7 +90,8 @@ def read_script(path: Path, axes: Sequence[Axis]) -> Script:
         if not isinstance(item, dict):
             message = "the script entry is not a command"
             raise ConfigError(message, key=f"[{index}]", where=place.of(), expected=_example(axes))
-        entry, end = _entry(item, place, {axis.name: axis for axis in axes}, entries[-1].at if entries else 0.0, end)
+        before = entries[-1].at if entries else 0.0
+        entry, end = _entry(item, place, {axis.name: axis for axis in axes}, actions, before, end)
         entries.append(entry)
     if "for" not in value[-1]:
         message = "the last entry does not give the end of the drive"
@@ -105,12 +110,12 @@ class _Place:
 
 
 def _entry(
-    item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], before: float, end: float
+    item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], actions: Sequence[str], before: float, end: float
 ) -> tuple[Entry, float]:
     """Parse one entry of a drive script; return the entry and the simulated time (s) at which it ends."""
     for key in item:
-        if key not in (*_TIMES, *_ACTIONS, *axes):
-            names = [*_TIMES, *axes, *_ACTIONS]
+        if key not in (*_TIMES, *actions, *axes):
+            names = [*_TIMES, *axes, *actions]
             message = "unknown key in a script"
             expected = "one of " + ", ".join(names)
             raise ConfigError(

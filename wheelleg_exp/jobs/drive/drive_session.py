@@ -153,8 +153,8 @@ class DriveSession:
         self.fallen: str | None = None
         manager = self.env.command_manager
         terms = [manager.get_term(name) for name in manager.active_terms]
-        self._jumps = [term for term in terms if isinstance(term, JumpCommand)]
-        for term in self._jumps:
+        self.jumps = [term for term in terms if isinstance(term, JumpCommand)]
+        for term in self.jumps:
             term.share = 0.0  # The user starts the jumps.
         self._hold(self.controls.values)
         if start is None:
@@ -191,14 +191,14 @@ class DriveSession:
             if isinstance(request, Reset):
                 self.reset()
             return
-        if isinstance(request, Jump) and not self._jumps:
+        if isinstance(request, Jump) and not self.jumps:
             return
         self.driven.asked(self.steps, request)
         self.meter.asked(request)
         if isinstance(request, Push):
             self._push(request)
         elif isinstance(request, Jump):
-            for term in self._jumps:
+            for term in self.jumps:
                 term.start()
         else:
             self.reset()

@@ -220,7 +220,9 @@ def _drive_one(
         request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene, around)
     )
     session = DriveSession(prepared.adapter, prepared.policy, state)
-    script = None if request.script is None else read_script(request.script, session.axes)
+    script = None
+    if request.script is not None:
+        script = read_script(request.script, session.axes, jumps=bool(session.jumps))
     with dated_folder(request.run.play) as folder:
         tree = prepared.tree
         recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None

@@ -66,6 +66,9 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
             _compare_group(found, pair[0], pair[1], f"env.observations.{name}", of, further)
     pair = [part.get("actions") or {} for part in (old_env, env)]
     _compare_terms(found, pair[0], pair[1], "env.actions", of, ("_target_",), ())
+    profiles = [(part.get("robot") or {}).get("profile") for part in (old_env, env)]
+    if profiles[0] != profiles[1]:
+        found.notes.append(_describe_change("env.robot.profile", *profiles))
     orders = [(part.get("robot") or {}).get("joint_order") for part in (old_env, env)]
     if orders[0] != orders[1]:
         _refuse(found, "env.robot.joint_order", f"{of} has {orders[0]} and this has {orders[1]}")

@@ -240,7 +240,7 @@ def _require_work(manifest: Manifest, point: ResumePoint, total: int) -> None:
     done = point.iteration
     if total < done or (total == done and manifest.status == "finished"):
         message = f"the number is {total}, and the run has done {done} iterations"
-        expected = f"more than {done}: 'wheelleg resume {manifest.directory.name} agent.max_iterations=N'"
+        expected = f"more than {done}: 'wheelleg resume {manifest.directory} agent.max_iterations=N'"
         raise ConfigError(message, key="agent.max_iterations", expected=expected)
 
 
