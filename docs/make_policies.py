@@ -1,8 +1,8 @@
-"""Make ``assets/policies/NAME.zip`` from a run: ``python docs/make_policies.py NAME RUN``.
+"""Make ``assets/policies/NAME.zip`` from a run: ``python docs/make_policies.py NAME RUN [LICENSE]``.
 
 The zip file contains the networks of the run's last checkpoint, the config, the robot, and the evaluations of these
-networks. To ship evaluations, make the zip file, evaluate ``stock:NAME``, and make the zip file again from the run
-directory in ``runs/stock``.
+networks. ``LICENSE`` is a text file with the origin and the licence of a foreign robot. To ship evaluations, make the
+zip file, evaluate ``stock:NAME``, and make the zip file again from the run directory in ``runs/stock``.
 """
 
 from __future__ import annotations
@@ -31,8 +31,11 @@ _LOCAL = ("working_directory", "process", "environment_variables", "sha256")
 _LOCAL_WORDS = ("run.root=", "run.name=", "recording.enabled=")
 
 
-def slim(name: str, run: RunDirectory, folder: Path) -> None:
+def slim(name: str, run: RunDirectory, folder: Path, *licenses: str) -> None:
     """Write a small run directory into ``folder``, with everything that a play needs."""
+    shutil.copytree(run.asset, folder / "asset")
+    for path in licenses:
+        shutil.copyfile(path, folder / "asset" / "LICENSE")
     for file in (*_COPIED, *_ROBOT):
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         write_text(folder / file, _without_folders((run.path / file).read_text()))
@@ -48,7 +51,7 @@ def slim(name: str, run: RunDirectory, folder: Path) -> None:
     small = {"format_version": 1, "iter": checkpoint_iteration(last), **networks}
     write_bytes(folder / last.name, checkpoint.serialize(small))
     data = {key: value for key, value in run.manifest().data.items() if key not in _LOCAL}
-    data.update(command=_words(data["command"]), files=inventory(folder), resumes=[], stock=name)
+    data.update(command=_words(data["command"]), config_dirs=[], files=inventory(folder), resumes=[], stock=name)
     data["source"] = {key: value for key, value in data["source"].items() if key != "root"}
     digest = sha256(folder / last.name)
     evaluations = [entry for entry in data["additions"] if entry["kind"] == "evaluation"]
@@ -59,7 +62,7 @@ def slim(name: str, run: RunDirectory, folder: Path) -> None:
 
 def _without_folders(text: str) -> str:
     """Make the paths of runs relative, and remove the comments, which contain variables and files of a machine."""
-    text = re.sub(r"(?m)^#.*\n|  # file:.*$", "", text)
+    text = re.sub(r"(?m)^#.*\n|  # (?:editable )?file:.*$", "", text)
     return re.sub(r"((?:init_from|named)\W{1,4})/[\w./-]*/", r"\1", re.sub(r"/[\w./-]*/runs/", "runs/", text))
 
 
@@ -74,12 +77,12 @@ def _evaluation(run: RunDirectory, entry: dict[str, Any], folder: Path) -> dict[
     return {**entry, "command": _words(entry["command"]), "files": record_files(folder, [folder / name])}
 
 
-def main(name: str, run: str) -> None:
+def main(name: str, run: str, *licenses: str) -> None:
     """Write the zip file, and the digests of all zip files."""
     target = assets_dir() / "policies" / f"{name}.zip"
     target.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        slim(name, RunDirectory.open(run, "runs"), Path(folder))
+        slim(name, RunDirectory.open(run, "runs"), Path(folder), *licenses)
         for path in sorted(path for path in Path(folder).rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(path.relative_to(folder).as_posix())  # with a fixed date
             archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)

@@ -35,9 +35,9 @@ def test_a_shipped_policy_keeps_eight_robots_on_their_wheels(own_folders, name):
     # Without a policy, the robot falls within 0.5 s.
     assert played["figures"]["survival"] == 1.0
     # A robot that gets up is still rising after the first second, and rough ground moves the base up and down.
-    height_rmse = played["figures"]["height_rmse_m"]
+    height_rmse, mean = played["figures"]["height_rmse_m"], played["figures"]["height_mean_m"]
     assert (height_rmse is None) == (name == "height")  # No fixed height: the height is commanded.
-    assert (height_rmse or 0.0) < (0.005 if name in ("get_up", "terrain") else 0.002)
+    assert (height_rmse or 0.0) < mean * (0.07 if name in ("get_up", "terrain") else 0.028)
     verified = wheelleg("verify", f"stock:{name}")
     assert (verified.status, "sound: " in verified.out) == (0, True), verified.out
     # A wheelleg command accepts the printed folder name, too.
@@ -120,7 +120,7 @@ def test_the_evaluations_are_of_the_shipped_networks_and_no_file_names_a_folder_
     texts = [path for path in run.path.rglob("*") if path.suffix in (".json", ".yaml", ".txt") and path.is_file()]
     for path in texts:
         # Only the paths of USD prims start with a slash.
-        found = re.findall(r"(?<![\w.>+-])/(?!wheelleg/|wheelleg\b)[a-z][\w./-]*", path.read_text())
+        found = re.findall(r"(?<![\w.>+-])/(?!(?:wheelleg|wheel_biped)\b)[a-z][\w./-]*", path.read_text())
         assert not found, path
 
 
