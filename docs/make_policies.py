@@ -31,11 +31,11 @@ _LOCAL = ("working_directory", "process", "environment_variables", "sha256")
 _LOCAL_WORDS = ("run.root=", "run.name=", "recording.enabled=")
 
 
-def slim(name: str, run: RunDirectory, folder: Path, *licenses: str) -> None:
+def slim(name: str, run: RunDirectory, folder: Path, license_file: str | None = None) -> None:
     """Write a small run directory into ``folder``, with everything that a play needs."""
-    shutil.copytree(run.asset, folder / "asset")
-    for path in licenses:
-        shutil.copyfile(path, folder / "asset" / "LICENSE")
+    shutil.copytree(run.asset, folder / "asset", ignore=shutil.ignore_patterns("init_from.pt", "teacher.pt"))
+    if license_file is not None:
+        shutil.copyfile(license_file, folder / "asset" / "LICENSE")
     for file in (*_COPIED, *_ROBOT):
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         write_text(folder / file, _without_folders((run.path / file).read_text()))
@@ -77,12 +77,12 @@ def _evaluation(run: RunDirectory, entry: dict[str, Any], folder: Path) -> dict[
     return {**entry, "command": _words(entry["command"]), "files": record_files(folder, [folder / name])}
 
 
-def main(name: str, run: str, *licenses: str) -> None:
+def main(name: str, run: str, license_file: str | None = None) -> None:
     """Write the zip file, and the digests of all zip files."""
     target = assets_dir() / "policies" / f"{name}.zip"
     target.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        slim(name, RunDirectory.open(run, "runs"), Path(folder), *licenses)
+        slim(name, RunDirectory.open(run, "runs"), Path(folder), license_file)
         for path in sorted(path for path in Path(folder).rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(path.relative_to(folder).as_posix())  # with a fixed date
             archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)

@@ -10,8 +10,10 @@ import torch
 from jobs.small import wheelleg
 from refused import refusal
 
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import sha256
 from wheelleg_exp.paths import assets_dir
+from wheelleg_exp.rl.checkpoint import require_resumable
 from wheelleg_exp.run import stock_policies
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -64,6 +66,8 @@ def test_a_shipped_policy_starts_a_training_and_is_not_resumed(own_folders):
     assert torch.allclose(*weights, atol=1e-6)
     resumed = wheelleg("resume", "stock:walk", "agent.max_iterations=900")
     assert (resumed.status, "a new training with init_from=stock:walk" in resumed.err) == (2, True), resumed.err
+    with pytest.raises(RunDirectoryError, match="a training cannot be resumed from it"):
+        require_resumable(stock)
     assert "ships without the log" in refusal("replay", "stock:walk")
     assert "ships without the log" in refusal("results", "page", "stock:walk", "protocol=stand")
     assert RunDirectory.open("stock:walk", "runs").manifest().status == "finished"

@@ -55,8 +55,8 @@ def run(args: argparse.Namespace) -> int:
         raise WheellegError(message, key="--against", expected="runs, or 'reference'")
     for name in others:
         if nearest_name(name, [REFERENCE]) and not Path(name).exists():
-            message, expected = f"there is no run '{name}'", "a run, or 'reference'"
-            raise WheellegError(message, key="--against", expected=expected, nearest=REFERENCE)
+            message = f"there is no run '{name}'"
+            raise WheellegError(message, key="--against", expected="a run, or 'reference'", nearest=REFERENCE)
     engines = _engines(args)
     chosen, opposite = found(args, names), found(args, others)
     with ConsoleDisplay(quiet=True) as display:

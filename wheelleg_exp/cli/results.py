@@ -79,7 +79,7 @@ def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.run.run_directory import RunDirectory
 
     names = list(dict.fromkeys((args.name, *args.runs)))
-    if args.reference or args.kept:
+    if args.reference or args.kept or args.replace:
         message = "the record determines the evaluations"
         raise WheellegError(message, key="--again", expected="--again without options of evaluations")
     pages = sorted(path.stem for path in args.into.glob("*.json"))

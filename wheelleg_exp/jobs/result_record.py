@@ -136,7 +136,7 @@ _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
 _LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
-# A reproduced training ignores the original run's overrides of ``run``, ``recording``, and an ``init_from`` of a run.
+# A reproduced training ignores the original run's overrides of ``run``, ``init_from``, and ``recording``.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
 
@@ -284,11 +284,12 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
         overrides = [str(word) for word in yaml_value((run.hydra / "overrides.yaml").read_bytes()) or []]
     if longer:
         overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
-    began = data.get("init_from")
-    stock = f"init_from={PREFIX}"  # Every user has the policies that ship with ``wheelleg_exp``.
-    words = [w for w in overrides if w.startswith(stock) or not w.lstrip("+~").startswith(_LOCATION_PREFIXES)]
+    words = [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)]
     found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
-    if isinstance(began, Mapping) and not any(word.startswith(stock) for word in words):
+    began = data.get("init_from")
+    if isinstance(began, Mapping) and str(began.get("named")).startswith(PREFIX):
+        words.append(f"init_from={began['named']}")  # Every user has the policies that ship with ``wheelleg_exp``.
+    elif isinstance(began, Mapping):
         parent = RunDirectory.open(str(began["run"]), run.root)
         found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
     return found

@@ -62,7 +62,7 @@ def is_stock(folder: Path, name: object) -> bool:
 
 
 def refuse_stock(folder: Path, name: object) -> None:
-    """Raise RunDirectoryError for a policy that ships with ``wheelleg_exp``: its training cannot be continued."""
+    """Raise RunDirectoryError for a policy that ships with ``wheelleg_exp``, whose training nobody can continue."""
     if is_stock(folder, name):
         message = f"'{PREFIX}{name}' ships without the log, the source, and the optimiser of its training"
         raise RunDirectoryError(message, expected=f"a run of your own, or a new training with init_from={PREFIX}{name}")

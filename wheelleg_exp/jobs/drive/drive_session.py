@@ -132,8 +132,8 @@ class DriveSession:
 
     ``start`` is the state in which the robot starts (``scene.get_state()``); None for a reset.
 
-    ``driven`` is the log of the user's commands and requests. ``fallen`` describes how the episode ended, and is None
-    while the episode runs.
+    ``jumps`` are the commands for jumps. ``driven`` is the log of the user's commands and requests. ``fallen``
+    describes how the episode ended, and is None while the episode runs.
     """
 
     def __init__(
