@@ -66,12 +66,13 @@ class Mirror:
 
     def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
         """Return the mirror images of the observation groups that networks read."""
-        return {name: observations[name][:, sources] * signs for name, (sources, signs) in self._groups.items()}
+        groups = self._groups.items()
+        return {name: observations[name].index_select(1, sources) * signs for name, (sources, signs) in groups}
 
     def actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Return the mirror image of raw actions (B, A)."""
         sources, signs = self._action_tensors
-        return actions[:, sources] * signs
+        return actions.index_select(1, sources) * signs
 
     def _actions(self) -> SignedSources:
         """Return (j, sign) for each action i: the mirrored action i is ``sign`` times the action j."""

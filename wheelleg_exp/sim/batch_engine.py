@@ -85,6 +85,8 @@ class BatchEngine(Engine):
         if name not in self.expanded:
             self.expanded[name] = torch.from_numpy(self.batch.expand(name))
             self._unedited[name] = self.expanded[name].clone()
+            if self._at_set_const is not None:
+                self._at_set_const[name] = self._unedited[name].clone()
         return self.expanded[name]
 
     def set_const(self) -> None:
@@ -144,7 +146,7 @@ class BatchEngine(Engine):
         at_set_const = None
         if self._at_set_const is not None:
             # Save the old values of model fields that were changed after the last call of MuJoCo's ``set_const``.
-            then, now = {**self._unedited, **self._at_set_const}, sorted(self.expanded.items())
+            then, now = self._at_set_const, sorted(self.expanded.items())
             at_set_const = {name: then[name].clone() for name, v in now if not torch.equal(then[name], v)}
         return {
             "state": self.state.clone(),

@@ -432,7 +432,6 @@ class randomize_floor_slope(TermBase):
         turn = draw(-math.pi, math.pi, (len(ids),), "uniform", self._generator)
         down = torch.stack((slope.sin() * turn.cos(), slope.sin() * turn.sin(), -slope.cos()), dim=1)
         sim.expand("opt.gravity")[ids] = math.hypot(*env.scene.model.opt.gravity) * down.to(sim.dtype)
-        sim.set_const()
         self._robot.write_gravity_direction(down, ids)
 
 
@@ -469,4 +468,3 @@ def randomize_physics_scene_gravity(
     first, second = torch.tensor(gravity_distribution_params, dtype=torch.float32, device=env.device)
     drawn = draw(first, second, (len(ids) if per_env else 1, 3), distribution, generator)
     sim.expand("opt.gravity")[ids] = operate(default, drawn, operation).to(sim.dtype).expand(len(ids), 3)
-    sim.set_const()
