@@ -89,6 +89,14 @@ def test_environments_start_on_their_tiles():
     torch.testing.assert_close(ground.env_origins[:, 2], ground.height_at(ground.env_origins[:, :2]))
 
 
+def test_a_robot_whose_physics_failed_is_over_no_ground():
+    ground = placed({"stairs": stairs()}, border_width=1.0)
+    assert (
+        ground.height_at(torch.tensor([[torch.nan, 0.0], [0.0, torch.inf], [-torch.inf, torch.nan]])).tolist()
+        == [0.0] * 3
+    )
+
+
 def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
     ground = placed({"stairs": stairs(), "noise": noise()}, num_rows=10, num_cols=2, horizontal_scale=0.02)
     hard = ground.relief.difficulties

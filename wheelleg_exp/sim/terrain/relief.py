@@ -51,8 +51,8 @@ class HeightMap:
         self._size = torch.tensor(list(size), device=device)
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
-        """Return the ground's heights (...) at points (..., 2), m; 0 outside of the terrain tiles."""
-        place = xy / self._size.to(xy) + self._counts / 2
+        """Return the ground's heights (...) at points (..., 2), m; 0 outside of the terrain tiles and for NaN."""
+        place = (xy / self._size.to(xy) + self._counts / 2).nan_to_num(nan=-1.0)  # -1 is outside
         tile = place.floor()
         inside = ((place >= 0) & (place <= self._counts)).all(dim=-1)
         tile = tile.clamp(min=0).minimum(self._counts - 1)
