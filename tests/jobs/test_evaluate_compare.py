@@ -68,6 +68,10 @@ def test_one_training_named_twice_does_not_count_as_two_seeds(run):
     assert "is named twice" in refused("evaluate", run.path, run.path, *SHORT)
 
 
+def test_trainings_of_different_robots_do_not_count_as_one_method():
+    assert "have the robots 'wf_tron1a/WF_TRON1A.usd' and" in refused("evaluate", "stock:tron1a", "stock:walk", *SHORT)
+
+
 def test_what_is_kept_is_found_in_whatever_words_its_protocol_was_asked_for(run):
     first = evaluated(run.path)
     again = evaluated(run.path, "protocol=stand", "protocol.stand.episodes=4", "--kept")

@@ -117,7 +117,11 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the runs with the given names, each with a checkpoint; raise WheellegError for a repeated name."""
+    """Return the runs with the given names, each with a checkpoint, to be judged as trainings of one method.
+
+    Raise WheellegError for a repeated name, or for runs of different robots.
+    """
+    from wheelleg_exp.run.run_config import load_params
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
@@ -125,6 +129,10 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
         if directory in runs[:index]:
             message = f"run '{directory.id}' is named twice, and would count as two trainings"
             raise WheellegError(message, key="RUN", expected="each run once")
+        robots = [load_params(each)[0].get("robot", {}).get("asset") for each in (runs[0], directory)]
+        if robots[0] != robots[1]:
+            message = f"the runs '{runs[0].id}' and '{directory.id}' have the robots '{robots[0]}' and '{robots[1]}'"
+            raise WheellegError(message, key="RUN", expected="runs that differ by their seed; --against compares runs")
     return [(run, chosen_checkpoint(run, asked)) for run in runs]
 
 
