@@ -69,7 +69,9 @@ def test_one_training_named_twice_does_not_count_as_two_seeds(run):
 
 
 def test_trainings_of_different_robots_do_not_count_as_one_method():
-    assert "have the robots 'wf_tron1a/WF_TRON1A.usd' and" in refused("evaluate", "stock:tron1a", "stock:walk", *SHORT)
+    assert "RUN: the runs 'tron1a_" in refused("evaluate", "stock:tron1a", "stock:walk", *SHORT)
+    against = ("--against", "stock:stand", "--against", "stock:tron1a")
+    assert "--against: the runs 'stand_" in refused("evaluate", "stock:walk", *against, *SHORT)
 
 
 def test_what_is_kept_is_found_in_whatever_words_its_protocol_was_asked_for(run):

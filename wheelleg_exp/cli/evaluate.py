@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
             raise WheellegError(message, key="--against", expected="a run, or 'reference'", nearest=REFERENCE)
     engines = _engines(args)
     chosen, opposite = found(args, names), found(args, others)
+    _require_one_robot(chosen, "RUN")
+    _require_one_robot(opposite, "--against")
     with ConsoleDisplay(quiet=True) as display:
         if len(engines) == 2:
             first, second = ([evaluated(args, *one, [*overrides, w], display) for one in chosen] for w in engines)
@@ -117,11 +119,7 @@ def _compare(
 
 
 def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
-    """Return the runs with the given names, each with a checkpoint, to be judged as trainings of one method.
-
-    Raise WheellegError for a repeated name, or for runs of different robots.
-    """
-    from wheelleg_exp.run.run_config import load_params
+    """Return the runs with the given names, each with a checkpoint; raise WheellegError for a repeated name."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
     asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
@@ -129,11 +127,17 @@ def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirec
         if directory in runs[:index]:
             message = f"run '{directory.id}' is named twice, and would count as two trainings"
             raise WheellegError(message, key="RUN", expected="each run once")
-        robots = [load_params(each)[0].get("robot", {}).get("asset") for each in (runs[0], directory)]
-        if robots[0] != robots[1]:
-            message = f"the runs '{runs[0].id}' and '{directory.id}' have the robots '{robots[0]}' and '{robots[1]}'"
-            raise WheellegError(message, key="RUN", expected="runs that differ by their seed; --against compares runs")
     return [(run, chosen_checkpoint(run, asked)) for run in runs]
+
+
+def _require_one_robot(chosen: Sequence[tuple[RunDirectory, Path]], key: str) -> None:
+    """Raise WheellegError if runs whose mean is printed were trained with different files of a robot."""
+    from wheelleg_exp.jobs.saved_robot import saved_sources
+
+    for run, _ in chosen[1:]:
+        if saved_sources(run) != saved_sources(first := chosen[0][0]):
+            message = f"the runs '{first.id}' and '{run.id}' have different robots, so no mean of both is useful"
+            raise WheellegError(message, key=key, expected="trainings of one robot with different seeds")
 
 
 def evaluated(

@@ -85,7 +85,7 @@ class BatchEngine(Engine):
         if name not in self.expanded:
             self.expanded[name] = torch.from_numpy(self.batch.expand(name))
             self._unedited[name] = self.expanded[name].clone()
-            if self._at_set_const is not None:
+            if self._at_set_const is not None:  # At the last call of set_const, the field had this value.
                 self._at_set_const[name] = self._unedited[name].clone()
         return self.expanded[name]
 

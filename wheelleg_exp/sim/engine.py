@@ -84,7 +84,8 @@ class Engine(Kept, ABC):
     def expand(self, name: str) -> torch.Tensor:
         """Give a model field one value per simulation; return the tensor (N, ...), to which events can write.
 
-        Call ``set_const`` after writing a field that MuJoCo's constants depend on (masses, inertias, centres of mass).
+        Call ``set_const`` after writing a field that MuJoCo's constants depend on: masses, inertias, centres of mass,
+        armatures.
         """
 
     @abstractmethod

@@ -89,7 +89,7 @@ def test_environments_start_on_their_tiles():
     torch.testing.assert_close(ground.env_origins[:, 2], ground.height_at(ground.env_origins[:, :2]))
 
 
-def test_a_robot_whose_physics_failed_is_over_no_ground():
+def test_the_ground_has_height_0_at_nan_and_inf():
     ground = placed({"stairs": stairs()}, border_width=1.0)
     assert (
         ground.height_at(torch.tensor([[torch.nan, 0.0], [0.0, torch.inf], [-torch.inf, torch.nan]])).tolist()
