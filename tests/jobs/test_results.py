@@ -276,6 +276,7 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     write_json(run.path / "manifest.json", {**data, "resumes": [{**moved, "before": before}]})
     kept = result_manifest(run)
     assert next(machines_of(kept)) == "Abacus, 7 cores"
+    assert next(machines_of({**kept, "resumes": [], "threads": {"device": "cuda:0"}})).endswith(" cores and a GPU")
     assert "secret" not in json.dumps(kept)
     code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
     versions = {**moved, "differences": [{**elsewhere, "section": "versions", "name": "torch"}]}

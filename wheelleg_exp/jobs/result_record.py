@@ -62,10 +62,11 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
 
 
 def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the CPU and core count of each machine that trained the run: before each resume, and at the end."""
+    """Yield the CPU, core count, and GPU of each machine that trained the run: before each resume, and at the end."""
     for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
-        hardware = process.get("hardware") or {}
-        yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores"
+        hardware, device = process.get("hardware") or {}, (process.get("threads") or {}).get("device", "cpu")
+        gpu = "" if device == "cpu" else " and a GPU"
+        yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores{gpu}"
 
 
 def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
