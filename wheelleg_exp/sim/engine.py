@@ -85,7 +85,7 @@ class Engine(Kept, ABC):
         """Give a model field one value per simulation; return the tensor (N, ...), to which events can write.
 
         Call ``set_const`` after writing a field that MuJoCo's constants depend on: masses, inertias, centres of mass,
-        armatures.
+        armatures. No constant depends on gravity.
         """
 
     @abstractmethod

@@ -431,7 +431,6 @@ class randomize_floor_slope(TermBase):
         slope = draw(self._range[0], self._range[1], (len(ids),), "uniform", self._generator)
         turn = draw(-math.pi, math.pi, (len(ids),), "uniform", self._generator)
         down = torch.stack((slope.sin() * turn.cos(), slope.sin() * turn.sin(), -slope.cos()), dim=1)
-        # This needs no set_const, because no constant of MuJoCo depends on gravity.
         sim.expand("opt.gravity")[ids] = math.hypot(*env.scene.model.opt.gravity) * down.to(sim.dtype)
         self._robot.write_gravity_direction(down, ids)
 
@@ -468,5 +467,4 @@ def randomize_physics_scene_gravity(
     ids = all_ids(env, env_ids if per_env else None)
     first, second = torch.tensor(gravity_distribution_params, dtype=torch.float32, device=env.device)
     drawn = draw(first, second, (len(ids) if per_env else 1, 3), distribution, generator)
-    # This needs no set_const, because no constant of MuJoCo depends on gravity.
     sim.expand("opt.gravity")[ids] = operate(default, drawn, operation).to(sim.dtype).expand(len(ids), 3)
