@@ -35,7 +35,8 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
     """Return the contact and constraint capacities for a model; 0 for ``nconmax`` or ``njmax`` means an estimate."""
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    relief = bool((np.isin(model.geom_type, uneven) & solid).any())
+    # A wheel at the edge of a step touches several boxes.
+    relief = bool((np.isin(model.geom_type, uneven) & solid).any() or (solid & (model.geom_bodyid == 0)).sum() > 1)
     contacts = nconmax or (_ON_RELIEF if relief else _CONTACTS)
     if njmax:
         return Capacity(contacts, njmax)

@@ -10,7 +10,7 @@ import torch
 from sim.warp.models import XML, model, options
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.sim.warp_engine import WarpEngine
+from wheelleg_exp.sim.warp_engine import WarpEngine, capacity_for
 
 N = 4
 
@@ -196,6 +196,18 @@ def test_too_many_contacts_are_an_error_that_names_the_setting(device, room, key
     engine.view("qpos")[:, 3:7] = torch.tensor([0.7071, 0.0, 0.7071, 0.0])
     with pytest.raises(SimulationFailure, match=rf"{key}: there are more than .* or more"):
         steps(engine, 40)
+
+
+def test_a_ground_of_several_boxes_has_room_for_more_contacts():
+    plane = '<geom type="plane" size="1 1 .1"/>'
+    ball = '<body><freejoint/><geom size=".1"/></body>'
+    box = '<geom type="box" size=".1 .1 .1"/>'
+    drawn = box.replace("/>", ' contype="0" conaffinity="0"/>')
+    rooms = [
+        capacity_for(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{text}</worldbody></mujoco>"), 0, 0).contacts
+        for text in (plane + ball, plane + box + ball, plane + drawn + ball)
+    ]
+    assert rooms == [24, 48, 24]
 
 
 def test_a_restored_simulation_continues(device):
