@@ -55,8 +55,8 @@ def test_a_shipped_policy_is_unpacked_once_and_is_not_a_run_of_the_user(own_fold
 
 
 def test_a_shipped_policy_starts_a_training_and_is_not_resumed(own_folders):
-    words = ["task=walk", "robot=physical", "init_from=stock:walk", "env.num_envs=2", "agent.max_iterations=1"]
-    words += ["agent.actor.obs_normalization=false", "agent.critic.obs_normalization=false"]
+    words = ["task=walk", "robot=physical", "realism=full", "init_from=stock:walk"]
+    words += ["env.num_envs=4", "agent.max_iterations=1"]
     words += ["agent.algorithm.schedule=fixed", "agent.algorithm.learning_rate=1e-12", "recording.enabled=false"]
     said = wheelleg("train", *words)
     assert said.status == 0, said.err

@@ -18,7 +18,8 @@ from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
 # By default, the contact buffer has room for 24 contacts per simulation; a robot that lies on the ground has about 12.
 _CONTACTS = 24
-_ON_RELIEF = 48  # With a height field or mesh, one geom has several contact points, so the contact buffer is larger.
+# A geom has several contact points on a height field or mesh, and a wheel at the edge of a step touches several boxes.
+_ON_RELIEF = 48
 _GRAIN = 16
 _ROWS_OF_EQUALITY = 6
 
@@ -35,7 +36,6 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
     """Return the contact and constraint capacities for a model; 0 for ``nconmax`` or ``njmax`` means an estimate."""
     uneven = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_MESH))
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    # A wheel at the edge of a step touches several boxes.
     relief = bool((np.isin(model.geom_type, uneven) & solid).any() or (solid & (model.geom_bodyid == 0)).sum() > 1)
     contacts = nconmax or (_ON_RELIEF if relief else _CONTACTS)
     if njmax:
