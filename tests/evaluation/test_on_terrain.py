@@ -19,3 +19,13 @@ def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
     floors = [float(tile.heights.min()) for tile in relief.tiles]
     assert min(floors) < -0.2  # deep pits
     assert relief.origins[:, 0, 2] == pytest.approx(floors, abs=2e-3)
+
+
+def test_steps_are_five_quarters_of_a_wheels_radius_high_at_most():
+    made = tiles(Terrain(**protocol("steps")["terrain"]), seed=3)
+    heights = {
+        name: node.get("step_height_range") or node.get("box_height_range")
+        for name, node in made["sub_terrains"].items()
+    }
+    assert heights == {name: [0.005, 0.025] for name in ("stairs", "stairs_inverted", "step", "step_inverted")}
+    assert made["size"] == [4.0, 4.0]
