@@ -232,3 +232,8 @@ def test_the_command_prints_value_unit_meaning_and_sources_or_json(documented, c
 def test_the_first_line_names_the_kind_of_the_key(stock, capsys, words, first):
     assert main(["explain", *words]) == 0
     assert capsys.readouterr().out.splitlines()[0] == first
+
+
+def test_a_key_of_a_drive_belongs_to_the_config_of_play(capsys):
+    assert main(["explain", "drive.push"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "drive.push = 0.1"

@@ -90,7 +90,7 @@ def add_overrides(parser: argparse.ArgumentParser) -> None:
 
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
-    text = "the primary config (default: train, or pipeline if an override names one)"
+    text = "the primary config (default: the one that the key or the overrides belong to)"
     parser.add_argument("--primary", metavar="NAME", help=text)
 
 
@@ -99,7 +99,8 @@ def primary_of(args: argparse.Namespace, key: str = "") -> str:
     from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
     named = any(map(names_pipeline, [*args.overrides, key]))
-    return args.primary or (PIPELINE if named else "train")
+    other = "play" if key.partition(".")[0] in ("drive", "play") else "train"
+    return args.primary or (PIPELINE if named else other)
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:
