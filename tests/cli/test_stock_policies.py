@@ -123,8 +123,8 @@ def test_the_evaluations_are_of_the_shipped_networks_and_no_file_names_a_folder_
     assert {made["results"]["checkpoint_sha256"] for made in evaluations} == {sha256(run.latest_checkpoint())}
     texts = [path for path in run.path.rglob("*") if path.suffix in (".json", ".yaml", ".txt") and path.is_file()]
     for path in texts:
-        # Only the paths of USD prims start with a slash.
-        found = re.findall(r"(?<![\w.>+-])/(?!(?:wheelleg|wheel_biped)\b)[a-z][\w./-]*", path.read_text())
+        # Only the paths of USD prims and URDF elements start with a slash.
+        found = re.findall(r"(?<![]\w.>+-])/(?!(?:wheelleg|wheel_biped|robot)\b)[a-z][\w./-]*", path.read_text())
         assert not found, path
 
 
