@@ -1,4 +1,4 @@
-"""Draw ``get_up.webp``, a film of the policy ``stock:get_up``: ``python docs/images/make_skill_pictures.py``.
+"""Draw films of shipped policies: ``python docs/images/make_skill_pictures.py [NAME ...]`` writes ``NAME.webp``.
 
 A machine without a graphics card needs a software driver (Debian: libegl1 libgl1-mesa-dri).
 """
@@ -13,26 +13,29 @@ from pathlib import Path
 import av
 
 HERE = Path(__file__).parent
-SEED = 5  # The robot starts upside down.
-PLAY = ("play", "stock:get_up", "env.num_envs=1", f"seed={SEED}", "env.episode_length_s=2.0")
+FILMS = {
+    "get_up": ("seed=5", "env.episode_length_s=2.0", "env.events.reset_lying.share=1.0"),  # begins upside down
+    "height": ("seed=3", "env.episode_length_s=5.0", "env.commands.base_pose.resampling_time_range=[1.0,1.0]"),
+}
 
 
-def main() -> None:
+def main(name: str) -> None:
     """Play the policy in a temporary folder, and write the film to this folder."""
     with tempfile.TemporaryDirectory() as folder:
 
         def wheelleg(*words: str) -> None:
             subprocess.run([Path(sys.executable).with_name("wheelleg"), *words], cwd=folder, check=True)
 
-        wheelleg(*PLAY, "env.events.reset_lying.share=1.0")
+        wheelleg("play", f"stock:{name}", "env.num_envs=1", *FILMS[name])
         [recording] = Path(folder).rglob("recording.rrd")
         wheelleg(
-            "inspect", str(recording), *("--video", "film.mp4", "--width", "480", "--height", "300", "--fps", "20")
+            "inspect", str(recording), *("--video", "film.mp4", "--width", "480", "--height", "300", "--fps", "12")
         )
         with av.open(str(Path(folder) / "film.mp4")) as film:
             frames = [frame.to_image() for frame in film.decode(video=0)]
-    frames[0].save(HERE / "get_up.webp", append_images=frames[1:], save_all=True, duration=50, loop=0, quality=60)
+    frames[0].save(HERE / f"{name}.webp", append_images=frames[1:], save_all=True, duration=83, loop=0, quality=60)
 
 
 if __name__ == "__main__":
-    main()
+    for chosen in sys.argv[1:] or FILMS:
+        main(chosen)
