@@ -387,17 +387,18 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, better = "jump", "higher"
+    test, better, parts = "jump", "higher", ("drove", "jumped", "recovered")
     yield from _survival(test, columns)
-    yield Metric("jump/success", test, ("jumped", "recovered"), all_of, better=better)
-    yield Metric("jump/worst_success", test, ("cell", "jumped", "recovered"), worst_share, better=better)
+    yield Metric("jump/success", test, parts, all_of, better=better)
+    yield Metric("jump/worst_success", test, ("cell", *parts), worst_share, better=better)
     for name, unit in (("clearance_m", "m"), ("air_s", "s"), ("span_m", "m")):
         yield Metric(f"jump/{name.rpartition('_')[0]}", test, (name,), mean, unit, better)
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
-        yield Metric(f"jump/success/{cell}", test, ("jumped", "recovered"), all_of, better=better, rows=rows)
+        yield Metric(f"jump/success/{cell}", test, parts, all_of, better=better, rows=rows)
         yield Metric(f"jump/clearance/{cell}", test, ("clearance_m",), mean, "m", better, rows)
         yield Metric(f"jump/span/{cell}", test, ("span_m",), mean, "m", better, rows)
+        yield Metric(f"jump/speed_error/{cell}", test, ("off_speed_m_s",), mean, "m/s", rows=rows)
     yield Metric("jump/recovery", test, ("recovery_s",), mean, "s")
     yield from _landing(test)
     yield from _shared_metrics(test, columns, everything)

@@ -194,6 +194,7 @@ class Jump:
         recovered_height: largest distance of its base from the target height, m.
         recovered_s: time at the end for which tilt and height must stay within their limits, s.
         within_s: longest time from the command to the end of the landing, s.
+        speed_error: largest error of the mean forward speed in the second before the command to jump, m/s.
     """
 
     episodes: Count
@@ -205,6 +206,7 @@ class Jump:
     recovered_height: Positive
     recovered_s: NonNegative
     within_s: Positive
+    speed_error: Positive
 
 
 @dataclass(frozen=True)
