@@ -51,7 +51,9 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
     took = [manifest["results"].get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
-    yield f"Training one policy per seed ({seeds}) took {times} on {', and on '.join(machines)}.\n"
+    several = any(run["train"]["begins_with"] for run in record["runs"])
+    what = "The last training of each seed" if several else "Training one policy per seed"
+    yield f"{what} ({seeds}) took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
     if record["verdict"]:
@@ -123,7 +125,7 @@ def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
     before = recipe["begins_with"]
     if before is not None:
         yield from _commands(before)
-    tail = " init_from=the-run-above" if before is not None else ""
+    tail = f" init_from=the-run-above/model_{recipe['iteration']}.pt" if before is not None else ""
     yield f"wheelleg train {shlex.join(recipe['overrides'])}{tail}"
 
 
