@@ -267,11 +267,14 @@ def test_a_robot_drives_if_its_mean_speed_before_the_jump_is_near_the_command():
     found = jump(Motion(made, parts(4), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05))
     assert found["off_speed_m_s"][:3].tolist() == pytest.approx([0.04, 0.04, 0.06], abs=1e-6)
     assert found["drove"].tolist() == [1.0, 1.0, 0.0, 0.0]
-    columns = {"test": np.array(["jump"] * 4), "cell": np.zeros(4), "cell_name": np.array(["vx=0.3"] * 4)}
-    columns |= {"drove": found["drove"].numpy(), "jumped": np.ones(4), "recovered": np.array([1.0, 0.0, 1.0, 1.0])}
-    success = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("jump", columns, {})}
-    assert len(success) == 3
-    assert set(success.values()) == {0.25}
+    columns = {"test": np.array(["jump"] * 4), "cell": np.array([0.0, 0.0, 1.0, 1.0])}
+    columns["cell_name"] = np.array(["vx=0", "vx=0", "vx=0.3", "vx=0.3"])
+    columns |= {name: found[name].numpy() for name in ("drove", "off_speed_m_s")}
+    columns |= {"jumped": np.ones(4), "recovered": np.array([1.0, 0.0, 1.0, 1.0])}
+    numbers = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("jump", columns, {})}
+    assert (numbers["jump/success"], numbers["jump/worst_success"]) == (0.25, 0.0)
+    assert (numbers["jump/success/vx=0"], numbers["jump/success/vx=0.3"]) == (0.5, 0.0)
+    assert numbers["jump/speed_error/vx=0.3"] == pytest.approx(0.06)  # without the robot that fell
 
 
 def test_hops_do_not_add_up_to_a_flight():
