@@ -248,7 +248,7 @@ def test_a_ballistic_jump_has_the_clearance_time_and_span_of_the_closed_form():
     made.clearance[:, 1, 0] = 0.0  # The second robot lifts only one wheel.
     made.down[:] = made.clearance <= 0.0
     made.pos[..., 0] = forwards * times(made).unsqueeze(1)
-    options = Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05)
+    options = Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2)
     found = jump(Motion(made, parts(2), 1.0), options)
     assert found["clearance_m"].tolist() == pytest.approx([speed**2 / (2 * 9.81), 0.0], abs=1e-3)
     assert found["air_s"].tolist() == pytest.approx([2 * speed / 9.81, 0.0], abs=0.02)
@@ -257,24 +257,26 @@ def test_a_ballistic_jump_has_the_clearance_time_and_span_of_the_closed_form():
     assert found["jumped"].tolist() == [1.0, 0.0]
 
 
-def test_a_robot_drives_if_its_mean_speed_before_the_jump_is_near_the_command():
-    made = still(6.0, 4)
+def test_a_robot_drives_if_its_mean_velocity_before_the_jump_is_near_the_command():
+    made = still(6.0, 5)
     made.command[..., 0] = 0.3
-    made.vel[..., 0] = torch.tensor([0.26, 0.34, 0.24, 0.3])
+    made.vel[..., 0] = torch.tensor([0.26, 0.34, 0.24, 0.3, 0.3])
+    made.ang[..., 2] = torch.tensor([0.1, -0.1, 0.0, 0.0, 0.3])
     made.vel[: len(made.vel) // 6, :, 0] = 0.0  # Only the second before the jump counts.
     made.vel[len(made.vel) // 3 :, :, 0] = 0.0
     fall(made, 3, 0.9)
-    found = jump(Motion(made, parts(4), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05))
+    found = jump(Motion(made, parts(5), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2))
     assert found["off_speed_m_s"][:3].tolist() == pytest.approx([0.04, 0.04, 0.06], abs=1e-6)
-    assert found["drove"].tolist() == [1.0, 1.0, 0.0, 0.0]
-    columns = {"test": np.array(["jump"] * 4), "cell": np.array([0.0, 0.0, 1.0, 1.0])}
-    columns["cell_name"] = np.array(["vx=0", "vx=0", "vx=0.3", "vx=0.3"])
-    columns |= {name: found[name].numpy() for name in ("drove", "off_speed_m_s")}
-    columns |= {"jumped": np.ones(4), "recovered": np.array([1.0, 0.0, 1.0, 1.0])}
+    assert found["drove"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
+    columns = {"test": np.array(["jump"] * 5), "cell": np.array([0.0, 0.0, 1.0, 1.0, 1.0])}
+    columns["cell_name"] = np.array(["vx=0", "vx=0", "vx=0.3", "vx=0.3", "vx=0.3"])
+    columns |= {name: found[name].numpy() for name in ("drove", "off_speed_m_s", "off_yaw_rate_rad_s")}
+    columns |= {"jumped": np.ones(5), "recovered": np.array([1.0, 0.0, 1.0, 1.0, 1.0])}
     numbers = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("jump", columns, {})}
-    assert (numbers["jump/success"], numbers["jump/worst_success"]) == (0.25, 0.0)
+    assert (numbers["jump/success"], numbers["jump/worst_success"]) == (0.2, 0.0)
     assert (numbers["jump/success/vx=0"], numbers["jump/success/vx=0.3"]) == (0.5, 0.0)
-    assert numbers["jump/speed_error/vx=0.3"] == pytest.approx(0.06)  # without the robot that fell
+    assert numbers["jump/speed_error/vx=0.3"] == pytest.approx(0.03)  # without the robot that fell
+    assert numbers["jump/yaw_rate_error/vx=0.3"] == pytest.approx(0.15)
 
 
 def test_hops_do_not_add_up_to_a_flight():
@@ -283,7 +285,7 @@ def test_hops_do_not_add_up_to_a_flight():
     for start, end in ((180, 192), (210, 216)):
         made.clearance[start:end] = 0.03
         made.down[start:end] = False
-    found = jump(Motion(made, parts(), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05))
+    found = jump(Motion(made, parts(), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2))
     assert float(found["air_s"]) == pytest.approx(12 * DT)
     assert float(found["span_m"]) == pytest.approx(12 * DT * 0.3, rel=1e-3)
 

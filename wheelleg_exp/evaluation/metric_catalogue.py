@@ -399,6 +399,7 @@ def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(f"jump/clearance/{cell}", test, ("clearance_m",), mean, "m", better, rows)
         yield Metric(f"jump/span/{cell}", test, ("span_m",), mean, "m", better, rows)
         yield Metric(f"jump/speed_error/{cell}", test, ("off_speed_m_s",), mean, "m/s", rows=rows)
+        yield Metric(f"jump/yaw_rate_error/{cell}", test, ("off_yaw_rate_rad_s",), mean, "rad/s", rows=rows)
     yield Metric("jump/recovery", test, ("recovery_s",), mean, "s")
     yield from _landing(test)
     yield from _shared_metrics(test, columns, everything)

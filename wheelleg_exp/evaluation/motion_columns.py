@@ -301,12 +301,14 @@ def jump(motion: Motion, options: Jump) -> Columns:
 
     ``clearance_m`` is the largest clearance of the lowest wheel. ``span_m`` is the longest way of the base while the
     clearance of all wheels is at least ``options.clearance``, or the wheels' radius. ``jumped`` is 1 if the wheels
-    reached that clearance, else 0. ``off_speed_m_s`` is the error of the mean forward speed in the second before the
-    command to jump, m/s, and ``drove`` is 1 if it is at most ``options.speed_error``, else 0.
+    reached that clearance, else 0. ``off_speed_m_s`` and ``off_yaw_rate_rad_s`` are the errors of the mean forward
+    speed, m/s, and of the mean yaw rate, rad/s, in the second before the command to jump. ``drove`` is 1 if they are
+    at most ``options.speed_error`` and ``options.yaw_rate_error``, else 0.
     """
     made, after = motion.made, motion.made.counted(options.at_s)
     before = made.counted(options.at_s - 1.0, options.at_s)
-    off = mean(made.vel[..., 0] - made.command[..., 0], before).abs()
+    off_speed = mean(made.vel[..., 0] - made.command[..., 0], before).abs()
+    off_yaw_rate = mean(made.ang[..., 2] - made.command[..., 2], before).abs()
     min_clearance = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
     lowest = made.clearance.amin(dim=-1)
     highest = largest(lowest, after)
@@ -315,8 +317,9 @@ def jump(motion: Motion, options: Jump) -> Columns:
         "air_s": _longest(torch.full_like(lowest, made.dt), ~made.down.any(dim=-1), after),
         "span_m": _longest(motion.step_lengths, lowest >= min_clearance, after),
         "jumped": (highest >= min_clearance).double(),
-        "off_speed_m_s": off,
-        "drove": (off <= options.speed_error).double(),
+        "off_speed_m_s": off_speed,
+        "off_yaw_rate_rad_s": off_yaw_rate,
+        "drove": ((off_speed <= options.speed_error) & (off_yaw_rate <= options.yaw_rate_error)).double(),
     }
 
 

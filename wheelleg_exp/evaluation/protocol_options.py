@@ -195,6 +195,7 @@ class Jump:
         recovered_s: time at the end for which tilt and height must stay within their limits, s.
         within_s: longest time from the command to the end of the landing, s.
         speed_error: largest error of the mean forward speed in the second before the command to jump, m/s.
+        yaw_rate_error: largest error of the mean yaw rate in the same second, rad/s.
     """
 
     episodes: Count
@@ -207,6 +208,7 @@ class Jump:
     recovered_s: NonNegative
     within_s: Positive
     speed_error: Positive
+    yaw_rate_error: Positive
 
 
 @dataclass(frozen=True)
