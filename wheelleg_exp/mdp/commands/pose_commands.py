@@ -315,4 +315,4 @@ class JumpCommand(CommandTerm):
 
     def post_process(self) -> None:
         left = (self.time_left / self.window_s).clamp(min=0.0)
-        self._command[:, 0] = torch.where(self.is_jumping_env & (left <= 1.0), left, 0.0)
+        self._command[:, 0] = left.masked_fill(~self.is_jumping_env | (left > 1.0), 0.0)
