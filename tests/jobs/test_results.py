@@ -270,8 +270,13 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     assert lengths == ["agent.max_iterations=9"]
     elsewhere = {"section": "hardware", "name": "cpu_model", "was": "1", "now": "2"}
     moved = {"exact": False, "overrides": [], "why": ["hardware cpu_model was 1 and is 2"], "differences": [elsewhere]}
-    write_json(run.path / "manifest.json", {**data, "resumes": [moved]})
-    assert recipe(run)
+    threads = {"section": "threads", "name": "torch", "was": 2, "now": 1}
+    fewer = {**moved, "overrides": ["agent.torch_threads=1"], "why": ["", ""], "differences": [elsewhere, threads]}
+    both = {**fewer, "overrides": ["agent.torch_threads=1", "agent.max_iterations=9"]}
+    for changed in ([moved], [fewer], [fewer, both]):
+        write_json(run.path / "manifest.json", {**data, "resumes": changed})
+        assert recipe(run)
+    assert [word for word in recipe(run)["overrides"] if word.startswith("agent.max_iterations")] == lengths
     before = {"hardware": {"cpu": "Abacus", "cores_usable": 7}, "process": {"host": "secret"}}
     write_json(run.path / "manifest.json", {**data, "resumes": [{**moved, "before": before}]})
     kept = result_manifest(run)

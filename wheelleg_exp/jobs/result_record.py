@@ -138,7 +138,7 @@ FORMAT = 2
 _MANIFEST_KEYS = ("id", "task", "status", "started", "ended", "seeds", "versions", "hardware", "threads", "results")
 _MORE_MANIFEST_KEYS = ("init_from", "files", "sha256", "last_ended_by")
 _MACHINE_KEYS = ("versions", "hardware", "threads")
-_LENGTH, _EXPECTED = "agent.max_iterations=", "what wheelleg results has written"
+_LENGTH, _THREADS, _EXPECTED = "agent.max_iterations=", "agent.torch_threads=", "what wheelleg results has written"
 # A reproduced training ignores the original run's overrides of ``run``, ``init_from``, and ``recording``.
 _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 
@@ -270,12 +270,13 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
     A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run that
-    was resumed on another machine also counts as one training; the Markdown page of results names both machines. If one
-    uninterrupted training cannot reproduce the run, raise RunDirectoryError.
+    was resumed on another machine, or with another number of threads, also counts as one training; the Markdown page of
+    results names both machines. If one uninterrupted training cannot reproduce the run, raise RunDirectoryError.
     """
     data = run.manifest().data
     refuse_stock(run.path, data.get("stock"))
-    longer = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
+    words = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
+    longer = [word for word in words if not word.startswith(_THREADS)]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         expected = "a finished run whose resumes changed nothing but its length or the machine"
@@ -299,8 +300,8 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
-    """Return whether only the hardware changed when the run was resumed."""
-    return is_the_machine(entry) and {difference["section"] for difference in entry["differences"]} == {"hardware"}
+    """Return whether only the hardware and the number of threads changed when the run was resumed."""
+    return is_the_machine(entry) and {each["section"] for each in entry["differences"]} <= {"hardware", "threads"}
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
