@@ -285,8 +285,9 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
     assert "secret" not in json.dumps(kept)
     code = {**moved, "differences": [{**elsewhere, "section": "code"}]}
     versions = {**moved, "differences": [{**elsewhere, "section": "versions", "name": "torch"}]}
+    device = {**fewer, "differences": [elsewhere, {**threads, "name": "device"}]}
     inexact, changed = {"exact": False, "overrides": []}, {"exact": True, "overrides": ["agent.algorithm.gamma=0.9"]}
-    others = [{"resumes": [entry]} for entry in (code, versions, inexact, changed)]
+    others = [{"resumes": [entry]} for entry in (code, versions, device, inexact, changed)]
     for other in (*others, {"status": "interrupted"}):
         write_json(run.path / "manifest.json", {**data, **other})
         with pytest.raises(RunDirectoryError, match="not an uninterrupted training"):

@@ -279,7 +279,7 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     longer = [word for word in words if not word.startswith(_THREADS)]
     exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
     if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
-        expected = "a finished run whose resumes changed nothing but its length or the machine"
+        expected = "a finished run whose resumes changed nothing but its length, the machine, or the number of threads"
         raise RunDirectoryError("the run was not an uninterrupted training", key=run.id, expected=expected)
     if (run.asset / TEACHER).is_file():
         message = "the run learned from another run's policy"
@@ -301,7 +301,8 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
 
 def _changed_machine(entry: Mapping[str, Any]) -> bool:
     """Return whether only the hardware and the number of threads changed when the run was resumed."""
-    return is_the_machine(entry) and {each["section"] for each in entry["differences"]} <= {"hardware", "threads"}
+    changed = ((each["section"], each["name"]) for each in entry.get("differences") or ())
+    return is_the_machine(entry) and all(one[0] == "hardware" or one == ("threads", "torch") for one in changed)
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:
