@@ -76,9 +76,9 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> 
     for jump in jumps:
 
         def draw_jump(env_ids: torch.Tensor, jump: Any = jump) -> None:
-            jump.time_left[env_ids] = jump_at_s + jump.window_s
+            jump.time_left.index_fill_(0, env_ids, jump_at_s + jump.window_s)
             jump.is_jumping_env[env_ids] = jump.command_counter[env_ids] == 0
-            jump.command[env_ids] = 0.0
+            jump.command.index_fill_(0, env_ids, 0.0)
 
         setattr(jump, "draw", draw_jump)  # noqa: B010
 

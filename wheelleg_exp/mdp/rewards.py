@@ -225,7 +225,7 @@ class jump_clearance(TermBase):
         return gain / env.step_dt
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        self._highest[env_ids] = 0.0
+        fill_rows(self._highest, env_ids, 0.0)
 
 
 class jump_apex(jump_clearance):

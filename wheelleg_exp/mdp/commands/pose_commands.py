@@ -304,7 +304,7 @@ class JumpCommand(CommandTerm):
     def draw(self, env_ids: torch.Tensor) -> None:
         u = torch.rand(len(env_ids), generator=self._generator, device=self._command.device)
         self.is_jumping_env[env_ids] = u < self.share
-        self._command[env_ids] = 0.0
+        self._command.index_fill_(0, env_ids, 0.0)
 
     def start(self) -> None:
         """Start a jump in every environment."""
