@@ -194,3 +194,5 @@ def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
     assert finding.message == "100 % of the mean is from iterations 1 to 20 of 20"
     assert found("late_average", case(average_iterations=8)) == []  # The share is 0.875 to the power of 12, 0.20.
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []
+    further = case(average_iterations=10)
+    assert found("late_average", replace(further, config={**further.config, "init_from": "latest"})) == []

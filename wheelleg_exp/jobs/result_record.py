@@ -350,6 +350,8 @@ def result_manifest(run: RunDirectory) -> dict[str, Any]:
     data = run.manifest().data
     source = data.get("source") or {}
     result = {key: data[key] for key in (*_MANIFEST_KEYS, *_MORE_MANIFEST_KEYS) if key in data}
+    if began := result.get("init_from"):
+        result["init_from"] = {**began, "named": Path(str(began["named"])).name}  # without the folders of this machine
     result["source"] = {key: source.get(key) for key in ("commit", "tree", "dirty")}
     result["resumes"] = [
         {

@@ -226,10 +226,11 @@ def late_average(case: Case) -> Iterator[Finding]:
     Until training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
     After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
     After i iterations, the first n = ``average_iterations`` iterations have the share (1 - 1/n)^(i - n) of the
-    average. Source: the weights of an exponential mean.
+    average. With ``init_from``, the first iterations are not random, so the rule does not apply. Source: the weights of
+    an exponential mean.
     """
     reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
-    if reach < 2:
+    if reach < 2 or case.config.get("init_from"):
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
