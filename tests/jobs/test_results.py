@@ -278,8 +278,10 @@ def test_a_run_that_was_resumed_exactly_to_go_on_for_longer_is_one_training_of_t
         assert recipe(run)
     assert [word for word in recipe(run)["overrides"] if word.startswith("agent.max_iterations")] == lengths
     before = {"hardware": {"cpu": "Abacus", "cores_usable": 7}, "process": {"host": "secret"}}
-    write_json(run.path / "manifest.json", {**data, "resumes": [{**moved, "before": before}]})
+    named = {"init_from": {"run": "walk_0123abcd", "named": "/home/secret/first"}}
+    write_json(run.path / "manifest.json", {**data, **named, "resumes": [{**moved, "before": before}]})
     kept = result_manifest(run)
+    assert kept["init_from"]["named"] == "first"
     assert next(machines_of(kept)) == "Abacus, 7 cores"
     assert next(machines_of({**kept, "resumes": [], "threads": {"device": "cuda:0"}})).endswith(" cores and a GPU")
     assert "secret" not in json.dumps(kept)
