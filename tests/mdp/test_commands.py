@@ -29,6 +29,13 @@ class Patches(Plane):
         self.flat_patches["target"] = torch.stack((rows, cols, 10 * number), dim=-1).float()
 
 
+class Ledge(Plane):
+    """A plane that claims to be 30 mm higher where x is larger than 0.1 m."""
+
+    def height_at(self, xy):
+        return torch.where(xy[..., 0] > 0.1, 0.03, 0.0)
+
+
 def _env(start_env, kind, /, **fields):
     sections = {name: fields.pop(name) for name in ("seed", "num_envs", "scene") if name in fields}
     env = start_env(commands={"c": {"_target_": C + kind, **fields}}, **sections)
@@ -345,3 +352,21 @@ def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(star
     assert float(term.is_jumping_env.float().mean()) == pytest.approx(0.3, abs=0.04)
     with pytest.raises(ConfigError, match=r"window_s.*less than 1 s"):
         _env(start_env, "JumpCommand", num_envs=2, resampling_time_range=[1.0, 2.0], window_s=1.0)
+
+
+def test_a_jump_is_commanded_where_the_ground_ahead_is_higher(start_env):
+    drive = {"_target_": C + "UniformVelocityCommand", "ranges": {"lin_vel_x": [0.3, 0.3]}}
+    times = {"resampling_time_range": [9.0, 9.0], "window_s": 0.3, "ahead_s": 0.5}
+    jump = {"_target_": C + "JumpAtStepsCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, **times}
+    commands = {"drive": drive | {"resampling_time_range": [9.0, 9.0]}, "jump": jump | {"rise": 0.02}}
+    env = start_env(commands=commands, scene={"terrain": {"_target_": "mdp.test_commands.Ledge", **FRICTION}})
+    term = env.command_manager.get_term("jump")
+
+    def commanded(x, yaw):
+        """Return the command after one to five times 0.1 s at a place 0.15 m before the point ahead."""
+        _stand(env, (x, 0.0, 0.1), yaw)
+        return [round(float((env.command_manager.compute(0.1), term.command[0, 0])[1]), 3) for _ in range(5)]
+
+    assert commanded(-0.06, 0.0) == [0.0] * 5
+    assert commanded(-0.06, math.pi) == commanded(0.2, math.pi) == [0.0] * 5
+    assert commanded(-0.04, 0.0) == [1.0, 0.667, 0.333, 0.0, 1.0]

@@ -9,6 +9,7 @@
 
 from wheelleg_exp.mdp.commands.command_ranges import NullCommand
 from wheelleg_exp.mdp.commands.pose_commands import (
+    JumpAtStepsCommand,
     JumpCommand,
     TerrainBasedPose2dCommand,
     UniformBasePoseCommand,

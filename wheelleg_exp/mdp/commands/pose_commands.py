@@ -13,7 +13,7 @@ from wheelleg_exp.managers import CommandTerm, Env, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.timers import forget
+from wheelleg_exp.sim.timers import may_be_due
 
 _Place = Literal["pos_x", "pos_y", "heading"]
 _Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
@@ -310,9 +310,48 @@ class JumpCommand(CommandTerm):
         """Start a jump in every environment."""
         self.is_jumping_env.fill_(True)
         self.time_left.fill_(self.window_s)
-        forget()
         self._command.fill_(1.0)
+
+    def may_expire(self, dt: float) -> bool:
+        return may_be_due(self.time_left, self.window_s, dt)
 
     def post_process(self) -> None:
         left = (self.time_left / self.window_s).clamp(min=0.0)
         self._command[:, 0] = left.masked_fill(~self.is_jumping_env | (left > 1.0), 0.0)
+
+
+class JumpAtStepsCommand(JumpCommand):
+    """Also commands a jump where the ground ahead is higher than the ground below the robot. Not in Isaac Lab.
+
+    The point ahead is where the robot will be after ``ahead_s`` seconds if it drives straight at the commanded speed.
+    The heights are those of the terrain, as an ideal height scanner measures them.
+
+    Args:
+        velocity_command: name of the velocity command.
+        ahead_s: time in which the robot reaches the point ahead, s.
+        rise: height difference from which a jump is commanded, m.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        window_s: Positive,
+        velocity_command: str,
+        ahead_s: Positive,
+        rise: Positive,
+        rel_jumping_envs: Share = 1.0,
+    ) -> None:
+        super().__init__(env, resampling_time_range, generator, window_s, rel_jumping_envs)
+        self.velocity_command, self.ahead_s, self.rise = velocity_command, ahead_s, rise
+
+    def post_process(self) -> None:
+        data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
+        forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)
+        way = self._env.command_manager.get_command(self.velocity_command)[:, :1] * self.ahead_s
+        here = data.root_pos_w[:, :2]
+        starts = (height_at(here + forwards * way) - height_at(here) > self.rise) & (self._command[:, 0] == 0.0)
+        self.is_jumping_env.logical_or_(starts)
+        self.time_left.masked_fill_(starts, self.window_s)
+        super().post_process()
