@@ -357,7 +357,7 @@ def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(star
 def test_a_jump_is_commanded_where_the_ground_ahead_is_higher(start_env):
     drive = {"_target_": C + "UniformVelocityCommand", "ranges": {"lin_vel_x": [0.3, 0.3]}}
     times = {"resampling_time_range": [9.0, 9.0], "window_s": 0.3, "ahead_s": 0.5}
-    jump = {"_target_": C + "JumpAtStepsCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, **times}
+    jump = {"_target_": C + "JumpCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, **times}
     commands = {"drive": drive | {"resampling_time_range": [9.0, 9.0]}, "jump": jump | {"rise": 0.02}}
     env = start_env(commands=commands, scene={"terrain": {"_target_": "mdp.test_commands.Ledge", **FRICTION}})
     term = env.command_manager.get_term("jump")

@@ -199,7 +199,7 @@ class DriveSession:
             self._push(request)
         elif isinstance(request, Jump):
             for term in self.jumps:
-                term.start()
+                term.start(torch.ones_like(term.is_jumping_env))
         else:
             self.reset()
 

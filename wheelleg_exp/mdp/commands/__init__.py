@@ -9,7 +9,6 @@
 
 from wheelleg_exp.mdp.commands.command_ranges import NullCommand
 from wheelleg_exp.mdp.commands.pose_commands import (
-    JumpAtStepsCommand,
     JumpCommand,
     TerrainBasedPose2dCommand,
     UniformBasePoseCommand,

@@ -269,12 +269,18 @@ def _window_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 @relation(_window_fits)
 class JumpCommand(CommandTerm):
-    """Commands a jump in the last ``window_s`` seconds before the next draw. Not in Isaac Lab.
+    """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
+
+    A step up is ahead if the ground is higher where the robot will be after ``ahead_s`` seconds at the commanded speed
+    than below the robot. The heights are those of the terrain, as an ideal height scanner measures them.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
         window_s: time in which the robot must jump, s.
         rel_jumping_envs: share of draws with a jump.
+        velocity_command: name of the velocity command; null means no jumps before steps.
+        ahead_s: time until the robot reaches the point ahead, s.
+        rise: smallest height of a step before which a jump is commanded, m.
 
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
@@ -287,9 +293,13 @@ class JumpCommand(CommandTerm):
         generator: torch.Generator,
         window_s: Positive,
         rel_jumping_envs: Share = 1.0,
+        velocity_command: str | None = None,
+        ahead_s: Positive = 0.2,
+        rise: Positive = 0.004,
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
+        self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         self.is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self._command = torch.zeros(env.num_envs, 1, device=env.device)
 
@@ -306,52 +316,24 @@ class JumpCommand(CommandTerm):
         self.is_jumping_env[env_ids] = u < self.share
         self._command.index_fill_(0, env_ids, 0.0)
 
-    def start(self) -> None:
-        """Start a jump in every environment."""
-        self.is_jumping_env.fill_(True)
-        self.time_left.fill_(self.window_s)
-        self._command.fill_(1.0)
+    def start(self, where: torch.Tensor) -> None:
+        """Start a jump in the environments of the mask ``where``, (N,)."""
+        self.is_jumping_env.logical_or_(where)
+        self.time_left.masked_fill_(where, self.window_s)
+        self._command.masked_fill_(where.unsqueeze(1), 1.0)
 
     def may_expire(self, dt: float) -> bool:
         return may_be_due(self.time_left, self.window_s, dt)
 
     def post_process(self) -> None:
+        if self._velocity_command is not None:
+            self.start(self._is_before_step(self._velocity_command) & (self._command[:, 0] == 0.0))
         left = (self.time_left / self.window_s).clamp(min=0.0)
         self._command[:, 0] = left.masked_fill(~self.is_jumping_env | (left > 1.0), 0.0)
 
-
-class JumpAtStepsCommand(JumpCommand):
-    """Also commands a jump where the ground ahead is higher than the ground below the robot. Not in Isaac Lab.
-
-    The point ahead is where the robot will be after ``ahead_s`` seconds if it drives straight at the commanded speed.
-    The heights are those of the terrain, as an ideal height scanner measures them.
-
-    Args:
-        velocity_command: name of the velocity command.
-        ahead_s: time in which the robot reaches the point ahead, s.
-        rise: height difference from which a jump is commanded, m.
-    """
-
-    def __init__(
-        self,
-        env: Env,
-        resampling_time_range: PositiveInterval,
-        generator: torch.Generator,
-        window_s: Positive,
-        velocity_command: str,
-        ahead_s: Positive,
-        rise: Positive,
-        rel_jumping_envs: Share = 1.0,
-    ) -> None:
-        super().__init__(env, resampling_time_range, generator, window_s, rel_jumping_envs)
-        self.velocity_command, self.ahead_s, self.rise = velocity_command, ahead_s, rise
-
-    def post_process(self) -> None:
+    def _is_before_step(self, velocity_command: str) -> torch.Tensor:
         data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
+        way = self._env.command_manager.get_command(velocity_command)[:, :1] * self._ahead_s
         forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)
-        way = self._env.command_manager.get_command(self.velocity_command)[:, :1] * self.ahead_s
         here = data.root_pos_w[:, :2]
-        starts = (height_at(here + forwards * way) - height_at(here) > self.rise) & (self._command[:, 0] == 0.0)
-        self.is_jumping_env.logical_or_(starts)
-        self.time_left.masked_fill_(starts, self.window_s)
-        super().post_process()
+        return height_at(here + forwards * way) - height_at(here) > self._rise
