@@ -21,11 +21,11 @@ def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
     assert relief.origins[:, 0, 2] == pytest.approx(floors, abs=2e-3)
 
 
-def test_steps_are_five_quarters_of_a_wheels_radius_high_at_most():
+def test_steps_are_three_halves_of_a_wheels_radius_high_at_most():
     made = tiles(Terrain(**protocol("steps")["terrain"]), seed=3)
     heights = {
         name: node.get("step_height_range") or node.get("box_height_range")
         for name, node in made["sub_terrains"].items()
     }
-    assert heights == {name: [0.005, 0.025] for name in ("stairs", "stairs_inverted", "step", "step_inverted")}
+    assert heights == {name: [0.005, 0.03] for name in ("stairs", "stairs_inverted", "step", "step_inverted")}
     assert made["size"] == [4.0, 4.0]
