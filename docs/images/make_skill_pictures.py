@@ -15,6 +15,7 @@ import av
 HERE = Path(__file__).parent
 FILMS = {
     "get_up": ("seed=5", "env.episode_length_s=2.0", "env.events.reset_lying.share=1.0"),  # begins upside down
+    "jump": ("seed=3", "env.episode_length_s=6.0", "env.commands.base_velocity.rel_standing_envs=0.0"),
     "height": ("seed=3", "env.episode_length_s=5.0", "env.commands.base_pose.resampling_time_range=[1.0,1.0]"),
 }
 

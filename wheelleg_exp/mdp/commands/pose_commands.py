@@ -294,7 +294,7 @@ class JumpCommand(CommandTerm):
         window_s: Positive,
         rel_jumping_envs: Share = 1.0,
         velocity_command: str | None = None,
-        ahead_s: Positive = 0.2,
+        ahead_s: Positive = 0.22,
         rise: Positive = 0.004,
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
