@@ -40,6 +40,7 @@ _OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bo
 _NAMES = {
     ("", "command_name"): "commands",
     ("", "action_name"): "actions",
+    ("commands", "velocity_command"): "commands",
     ("curriculum", "term_name"): "rewards",
     ("events", "curriculum_name"): "curriculum",
     ("curriculum", "reward_term_name"): "rewards",
