@@ -271,16 +271,17 @@ def _window_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
 class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
 
-    A step up is ahead if the ground is higher where the robot will be after ``ahead_s`` seconds at the commanded speed
-    than below the robot. The heights are those of the terrain, as an ideal height scanner measures them.
+    A jump is commanded if the ground rises by more than ``rise`` from the base to the point that the base reaches after
+    ``ahead_s`` seconds at the commanded speed, also on a slope. The heights are those of the terrain, as an ideal
+    height scanner measures them.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
         window_s: time in which the robot must jump, s.
         rel_jumping_envs: share of draws with a jump.
         velocity_command: name of the velocity command; null means no jumps before steps.
-        ahead_s: time until the robot reaches the point ahead, s.
-        rise: smallest height of a step before which a jump is commanded, m.
+        ahead_s: time until the base reaches the point ahead, s.
+        rise: smallest rise of the ground before which a jump is commanded, m.
 
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
