@@ -41,6 +41,16 @@ def test_the_update_period_is_counted_in_each_environment(start_env):
     assert sensor.measured.tolist() == [4, 1, 4, 4]
 
 
+def test_a_long_update_period_ends_on_its_step_in_spite_of_float32_sums(start_env):
+    env, sensor = _env(start_env, update_period=2.0)
+    assert env.physics_dt == 0.01
+    counts = []
+    for _ in range(402):
+        sensor.update()
+        counts.append(int(sensor.measured[0]))
+    assert [counts.index(n) for n in (1, 2, 3)] == [0, 200, 400]
+
+
 @pytest.mark.parametrize("period", [0.0, 0.03])
 def test_it_continues_from_its_saved_state(start_env, period):
     env, sensor = _env(start_env, update_period=period)

@@ -1,4 +1,5 @@
 import math
+from fractions import Fraction
 
 import pytest
 import torch
@@ -127,6 +128,19 @@ def test_a_body_that_leaves_the_ground_is_timed(env):
     assert float(sensor.data.last_contact_time[0, 0]) >= spent
     assert float(sensor.data.current_contact_time[0, 0]) == 0.0
     assert sensor.compute_first_air(0.2)[:, 0].all()
+
+
+@pytest.mark.parametrize("mode", ["contact", "air"])
+@pytest.mark.parametrize(("rate", "steps"), [(60, 1), (120, 2), (120, 10), (100, 25), (500, 50), (1000, 500)])
+def test_the_first_substep_of_a_control_step_is_within_it_and_the_last_one_before_it_is_not(env, mode, rate, steps):
+    """Fractions are exact: a touchdown ``steps`` substeps ago is first within the control step, one more is not."""
+    sensor = env.scene["contact"]
+    time = torch.zeros(4, 2)
+    for _ in range(steps):
+        time += 1 / rate
+    sensor.data.times[f"current_{mode}_time"].copy_(time + torch.tensor([0.0, 1 / rate]))
+    first = getattr(sensor, f"compute_first_{mode}")(float(Fraction(steps, rate)))
+    assert first.tolist() == [[True, False]] * 4
 
 
 @pytest.mark.parametrize("mode", ["contact", "air"])

@@ -212,6 +212,9 @@ class ActuatorNetLSTM(ActuatorNet):
     (rows, 1, 2), with one row per joint, and the hidden state of its LSTM. The outputs of the network are one torque
     per joint, N·m, and the new hidden state of its LSTM. The hidden state of an actuator's LSTM is 0 at the start of an
     episode. An actuator with a neural network ignores velocity targets and feed-forward efforts.
+
+    Unlike Isaac Lab's class of this name, the torque-speed line limits the torque at the joint's present speed. Isaac
+    Lab 2.3.2 never passes the speed to the limit, so that the limit is always that of a motor at rest.
     """
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:

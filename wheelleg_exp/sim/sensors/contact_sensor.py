@@ -15,7 +15,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
-from wheelleg_exp.sim.sensors.sensor_base import SensorBase
+from wheelleg_exp.sim.sensors.sensor_base import ROUNDING, SensorBase
 from wheelleg_exp.sim.terrain import GROUND
 from wheelleg_exp.state import Kept
 
@@ -336,12 +336,12 @@ class ContactSensor(SensorBase):
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
-        return (time > 0.0) & (time < dt + 1e-8)
+        return (time > 0.0) & (time < dt * (1 + ROUNDING))
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
-        return (time > 0.0) & (time < dt + 1e-8)
+        return (time > 0.0) & (time < dt * (1 + ROUNDING))
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         # Negate the sum, because contact forces push the sensed body, but contact normals point away from the body.
