@@ -58,3 +58,43 @@ def test_a_child_of_a_stock_task_in_a_users_folder(tmp_path):
     assert composed.config["env"]["rewards"]["alive"]["weight"] == 9.0
     assert composed.provenance["env.rewards.alive.weight"].file == tmp_path / "task" / "mine.yaml"
     assert check(composed) == []
+
+
+def test_the_articles_task_has_the_articles_numbers():
+    """The numbers were typed from the article, not from the config files."""
+    from wheelleg_exp.config.explaining.term_shapes import shapes
+
+    composed = compose(["task=article"])
+    env, agent = composed.config["env"], composed.config["agent"]
+    assert {name: term["weight"] for name, term in env["rewards"].items()} == {
+        "alive": 5.0,
+        "terminating": -200.0,
+        "lin_vel_z": -0.05,
+        "ang_vel_xy": -0.02,
+        "pitch_orientation": -4.0,
+        "base_height": -50.0,
+        "leg_joint_deviation": -0.1,
+        "leg_joint_symmetry": -0.1,
+        "wheel_air": -0.5,
+        "track_lin_vel_xy": 0.0,
+        "track_ang_vel_z": 0.0,
+    }
+    assert env["rewards"]["base_height"]["target_height"] == 0.07
+    assert {name: group.shape for name, group in shapes(composed).observations.items()} == {
+        "policy": (27 * 5,),
+        "critic": (36 * 5,),
+    }
+    assert (env["num_envs"], env["episode_length_s"], env["decimation"], 1 / env["sim"]["dt"]) == (512, 5.0, 2, 120.0)
+    drives = {name: group["stiffness"] + group["damping"] for name, group in env["robot"]["actuators"].items()}
+    assert drives == {"legs": 3.0 + 0.3, "wheels": 0.0 + 1.0}
+    assert (env["actions"]["leg_pos"]["scale"], env["actions"]["wheel_vel"]["scale"]) == (0.15, 5.0)
+    command = env["commands"]["base_velocity"]
+    assert {tuple(command["ranges"][axis]) for axis in ("lin_vel_x", "lin_vel_y", "ang_vel_z")} == {(0.0, 0.0)}
+    assert (command["resampling_time_range"], command["rel_standing_envs"]) == ([2.5, 2.5], 0.4)
+    events = env["events"]
+    assert events["add_base_mass"]["mass_distribution_params"] == [-0.02, 0.03]
+    assert events["push_robot"]["interval_range_s"] == [5.0, 10.0]
+    assert events["base_external_force_torque"]["force_range"] == [-0.2, 0.2]
+    assert not env["curriculum"]
+    assert agent["num_steps_per_env"] == 24
+    assert agent["actor"]["hidden_dims"] == agent["critic"]["hidden_dims"] == [512, 256, 128]
