@@ -53,8 +53,8 @@ class RslRlVecEnv(VecEnv):
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """Apply the actions (N, A) of one control step; return observations, rewards (N,), dones (N,), and extras.
 
-        ``extras`` contains ``time_outs`` (N,), except if ``env.is_finite_horizon`` is set. At a time-out, rsl_rl adds the
-        discounted value of the present state, before the step, because the next state is already that of a new episode.
+        ``extras`` contains ``time_outs`` (N,), except if ``env.is_finite_horizon`` is set. At a time-out, rsl_rl adds
+        the discounted value of the state before the step, because the next state already belongs to a new episode.
         """
         if self._clip_actions is not None:
             actions = actions.clamp(-self._clip_actions, self._clip_actions)
