@@ -39,8 +39,24 @@ def test_the_root_of_a_floating_articulation_is_that_of_openusd(tmp_path, seed):
     edges = [edge if dice.random() < 0.7 else edge[::-1] for edge in edges]
     dice.shuffle(edges)
     joints = "".join(hinge(f"j{i}", *edge) for i, edge in enumerate(edges))
-    path = write(tmp_path, "".join(map(link, names)) + joints, root_apis=MARK)
+    path = write(tmp_path, "".join(map(link, sorted(names))) + joints, root_apis=MARK)
     assert roots(converted(path)[0]) == openusd_root(path)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "joints", "root"),
+    [  # measured in PhysX 0.7, which searches from the first body by path, not from the first in the file
+        ("trunk body", "trunk-body", "body"),
+        ("b10 b9", "b10-b9", "b10"),
+        ("c b z a", "a-z z-b b-c", "z"),
+        ("z a m c", "m-a c-m a-z", "a"),
+        ("d a c b", "a-b c-a d-c", "a"),
+    ],
+)
+def test_of_two_centres_the_root_is_that_of_physx(tmp_path, bodies, joints, root):
+    edges = "".join(hinge(f"j{i}", *pair.split("-")) for i, pair in enumerate(joints.split()))
+    path = write(tmp_path, "".join(map(link, bodies.split())) + edges, root_apis=MARK)
+    assert roots(converted(path)[0]) == {root}
 
 
 CHAIN = "".join(link(name, f"({i}, 0, 0)") for i, name in enumerate("abcde"))
@@ -80,6 +96,34 @@ def test_a_fixed_joint_to_the_world_in_every_spelling(tmp_path, body0, body1, ma
     np.testing.assert_allclose(model.body("c").pos, [2, 0, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("mark", "kind", "drawn"),
+    [
+        *[("above", "Fixed", True), ("above", "", True), ("joint", "Fixed", True), ("joint", "", True)],
+        *[("body", "Fixed", False), ("none", "Fixed", False)],
+    ],
+)
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_root_of_a_fixed_base_stays_where_it_is_drawn(tmp_path, mark, kind, drawn, side):
+    """Measured in PhysX 0.7: the joint's frames win only for a mark on the body, or without an articulation."""
+    frames = f"point3f physics:localPos{1 - side} = (0.3, 0.1, 0.2)\n point3f physics:localPos{side} = (0, 0, 0.05)"
+    ends = ["", ""]
+    ends[side] = f"rel physics:body{side} = </bot/base>"
+    base = link("base", "(0.5, -0.2, 1)", apis=MARK if mark == "body" else "")
+    base = base.replace(
+        '["xformOp:translate"]', '["xformOp:translate", "xformOp:rotateZ"]\n double xformOp:rotateZ = 45'
+    )
+    joint = pin(*ends, frames, kind=kind, apis=MARK if mark == "joint" else "")
+    arm = link("arm", "(9, 9, 9)") + hinge("j", "base", "arm", text=AHEAD)
+    model, done = converted(write(tmp_path, base + arm + joint, root_apis=MARK if mark == "above" else ""))
+    assert (roots(model), model.nv) == ({"base"}, 1)
+    place, turn = ([0.5, -0.2, 1], [np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)])
+    np.testing.assert_allclose(model.body("base").pos, place if drawn else [0.3, 0.1, 0.15], atol=1e-9)
+    np.testing.assert_allclose(model.body("base").quat, turn if drawn else [1, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(model.body("arm").pos, [1, 0, 0], atol=1e-9)
+    assert any("stays where it is drawn" in item.rule for item in done.report.assumptions) is drawn
+
+
 @pytest.mark.parametrize(("kind", "nv"), [("Revolute", 1), ("Prismatic", 1), ("Spherical", 3), ("", 6)])
 def test_other_joints_to_the_world_stay_joints(tmp_path, kind, nv):
     model, _ = converted(write(tmp_path, link("c") + pin("", "rel physics:body1 = </bot/c>", kind=kind)))
@@ -99,7 +143,7 @@ def test_several_articulations_have_a_root_each(tmp_path):
     head = f'def Xform "{{0}}" {applied(MARK)}\n{{{{\n'
     robots = "".join(head.format(name) + parts.replace("/bot/", f"/bot/{name}/") + "}\n" for name in ("one", "two"))
     model, _ = converted(write(tmp_path, robots))
-    assert (roots(model), model.nv) == ({"one_base", "two_base"}, 2 * 7)
+    assert (roots(model), model.nv) == ({"one_arm", "two_arm"}, 2 * 7)
 
 
 def test_an_instanced_articulation_is_read_through_its_proxies(tmp_path):
@@ -108,7 +152,7 @@ def test_an_instanced_articulation_is_read_through_its_proxies(tmp_path):
     proto = f'class Xform "proto" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])\n{{\n{inside}}}\n'
     one = 'def Xform "{name}" (\n instanceable = true\n prepend references = </proto>\n)\n{{\n}}\n'
     model, _ = converted(write(tmp_path, one.format(name="left") + one.format(name="right"), outside=proto))
-    assert roots(model) == {"left_base", "right_base"}
+    assert roots(model) == {"left_arm", "right_arm"}
     turning = {model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE}
     assert turning == {"left_j", "right_j"}
 

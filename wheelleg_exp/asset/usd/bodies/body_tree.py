@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from pxr import Sdf
 
 from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import BaseMode, Closure, Pose
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links
-from wheelleg_exp.asset.usd.bodies.roots import Graph, articulated, find_roots
+from wheelleg_exp.asset.usd.bodies.roots import Graph, articulated, find_roots, is_pinned
 from wheelleg_exp.asset.usd.joints.usd_joints import WELD, Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
@@ -62,6 +61,7 @@ def drawn_in_parent(node: Node) -> Frame:
 
 
 HINGE_REACH = 0.05  # m
+CLOSE = 1e-4  # m and rad
 
 
 def is_exact(joint: Joint) -> bool:
@@ -191,13 +191,10 @@ def _moving(stage: Stage, joints: list[Joint]) -> list[Joint]:
 
 def _pinned(stage: Stage, joints: list[Joint]) -> list[Joint]:
     """Replace a generic joint without limits between root and world by a fixed joint, as PhysX does."""
-    marks = stage.articulation_prims
     for joint in joints:
         free = joint.kind == "PhysicsJoint" and len(joint.axes) == 4 and joint.axes[-1].kind == "ball"
         link = joint.other(None) if None in joint.links else None
-        if not free or link is None:
-            continue
-        if any(Sdf.Path(link.path).HasPrefix(mark) or mark == Sdf.Path(joint.path) for mark in marks):
+        if free and link is not None and is_pinned(stage, link, joint):
             joint.axes = []
             stage.ledger.mapped(joint.path, joint.kind, "a fixed base")
             stage.ledger.assume(joint.path, "a generic joint without limits from the root to the world", "fixed base")
@@ -280,6 +277,11 @@ class _Builder:
             # At the zero position of a USD joint, the joint frames of its two bodies coincide.
             relative, floating = joint.frames[1 - side] @ joint.frames[side].inverse(), False
             self._used.add(joint.path)
+            if parent is None and joint.welds and is_pinned(self.stage, link, joint):
+                apart, relative = relative.distance(link.frame), link.frame
+                if max(apart) > CLOSE:
+                    rule = "the root of a fixed-base articulation stays where it is drawn, as in PhysX"
+                    self.stage.ledger.assume(joint.path, rule, f"the frames differ by {apart[0]:.4g} m, {apart[1]:.4g} rad")
         above = self._placed[parent.path] if parent else Frame.identity()
         self._placed[link.path] = above @ relative
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))

@@ -91,6 +91,17 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
     return [*roots.values(), *((link, None) for link in free if link.path not in roots)]
 
 
+def is_pinned(stage: Stage, link: Link, joint: Joint) -> bool:
+    """Return whether a joint to the world fixes the base of an articulation: ArticulationRootAPI above it or on it.
+
+    In PhysX, an articulation whose mark is on the body itself floats, and its joint to the world is a constraint.
+    """
+    path = Sdf.Path(link.path)
+    return any(
+        mark == Sdf.Path(joint.path) or (path != mark and path.HasPrefix(mark)) for mark in stage.articulation_prims
+    )
+
+
 def articulated(stage: Stage, graph: Graph) -> list[Joint]:
     """Return the joints between bodies of articulations: all bodies reachable from ArticulationRootAPI."""
     seeds = list(_below(graph.links, stage.articulation_prims))
@@ -126,10 +137,11 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 def centre(graph: Graph, part: list[Link]) -> Link:
     """Return the centre of a graph: the body from which the number of joints to the farthest body is smallest.
 
-    If several bodies of a graph are equally central, the body with the most joints is the centre. OpenUSD's physics
-    parser and PhysX also use the most central body of a floating articulation as its root.
+    If several bodies of a graph are equally central, the body with the most joints is the centre; then the body that a
+    depth-first search from the first body by path reaches first, as in PhysX.
     """
-    order = {link.path: index for index, link in enumerate(_by_depth(graph, part[0]))}
+    first = min(part, key=lambda link: Sdf.Path(link.path))
+    order = {link.path: index for index, link in enumerate(_by_depth(graph, first))}
     return min(
         _middle(graph, part), key=lambda link: (graph.distances(link, True)[1], -len(graph.at(link)), order[link.path])
     )
