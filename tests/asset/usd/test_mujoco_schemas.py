@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from ..small_usd import MASS, applied, converted, hinge, link, two_links, write
+from ..small_usd import MASS, SI, applied, converted, hinge, link, two_links, write
 
 FOLLOWED = link("a") + link("b") + link("c") + hinge("ab", "a", "b")
 
@@ -46,6 +46,20 @@ MOTORS = "double mjc:actuatorfrcrange:min = -3\n double mjc:actuatorfrcrange:max
 def test_the_sum_of_motors_is_limited(tmp_path, text, limits):
     model, _ = two_links(tmp_path, text)
     np.testing.assert_allclose(model.jnt_actfrcrange[1], limits)
+
+
+@pytest.mark.parametrize("kind", ["Revolute", "Prismatic"])
+@pytest.mark.parametrize("units", ["", "metersPerUnit = 0.01\n kilogramsPerUnit = 0.001\n"])
+def test_attributes_of_a_urdf_are_in_its_units_whatever_those_of_the_stage(tmp_path, kind, units):
+    names = ("limit:effort", "limit:velocity", "dynamics:friction", "dynamics:damping")
+    text = "\n".join(f"float urdf:{name} = {value}" for name, value in zip(names, (16, 5, 0.2, 0.3), strict=True))
+    header = units + (SI.replace("metersPerUnit = 1\n", "") if units else SI)
+    mass = MASS.replace("0.1, 0.1, 0.1", "1e6, 1e6, 1e6")
+    joint = hinge("j", "a", "b", kind=kind, text=text)
+    model, done = converted(write(tmp_path, link("a", mass=mass) + link("b", mass=mass) + joint, header=header))
+    np.testing.assert_allclose(model.jnt_actfrcrange[1], [-16, 16])
+    np.testing.assert_allclose([model.dof_frictionloss[6], model.dof_damping[6]], [0.2, 0.3])
+    assert done.report.velocity_limits == {"j": 5}
 
 
 # ------------------------------------------------------------------ joints and bodies

@@ -135,7 +135,7 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
         anchor=anchor,
         range=limits,
         max_velocity=velocity_limit(stage, prim, axis),
-        force_range=force_range(stage, prim, angular),
+        force_range=force_range(stage, prim),
         drive=None if axis.kind == "ball" else read_drive(stage, prim, axis, limits, ref),
         position=ref if state is None else clamped(stage, prim, "the saved state", state + ref, limits),
         velocity=speed,

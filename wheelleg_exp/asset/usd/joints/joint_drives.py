@@ -95,7 +95,10 @@ _FRICTION = (
     *("physxJointAxis:dynamicFrictionEffort", "physxJointAxis:staticFrictionEffort", "urdf:dynamics:friction"),
 )
 _DAMPING = ("mjc:damping", "newton:damping", "physxJointAxis:viscousFrictionCoefficient", "urdf:dynamics:damping")
-_VELOCITY = ("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity")
+_VELOCITY = (
+    *("newton:velocityLimit", "physxJointAxis:maxJointVelocity", "physxJoint:maxJointVelocity"),
+    "urdf:limit:velocity",
+)
 # PhysX's default values of two attributes of the USD schema PhysxJointAxisAPI
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
@@ -188,7 +191,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
     return given[0][1] if given and given[0][1] < math.inf else None
 
 
-def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, float] | None:
+def force_range(stage: Stage, prim: Usd.Prim) -> tuple[float, float] | None:
     """Return the total force range of all motors of a joint, in N·m or N.
 
     If the USD file has only one end of the range, the other end is MuJoCo's default, 0.
@@ -197,5 +200,5 @@ def force_range(stage: Stage, prim: Usd.Prim, angular: bool) -> tuple[float, flo
     if low is not None or high is not None:
         low, high = float(low or 0.0), float(high or 0.0)
         return (low, high) if low < high else None
-    value = effort_limit(stage.ledger.read(prim, "urdf:limit:effort", "actuatorfrcrange"))
-    return None if value is None else (-stage.units.effort(value, angular), stage.units.effort(value, angular))
+    value = effort_limit(stage.ledger.read(prim, "urdf:limit:effort", "actuatorfrcrange"))  # in SI units, as in a URDF
+    return None if value is None else (-value, value)
