@@ -350,7 +350,7 @@ def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):
     assert finding.figures["assumed_kg"] == pytest.approx(0.3**3 * 1000)  # The assumed density is that of water.
     assert "of 28 kg are assumed (96 %)" in finding.message
     (finding,) = found("assumed_masses", read_urdf(tmp_path, inertial='<inertial><mass value="2"/></inertial>'))
-    assert "1 link has a mass and no inertia" in finding.message
+    assert "1 link has a mass and no inertia, such as 'base': the tensor is computed from the shapes" in finding.message
     idle = read_urdf(tmp_path, effort=0)
     assert "'j' has an effort or velocity limit of 0 in the file" in found("placeholder_limits", idle)[0].message
     assert found("placeholder_limits", replace(idle, config={**idle.config, "task": {}})) == []

@@ -3,7 +3,7 @@
 | kind of finding | subject | numbers |
 |---|---|---|
 | `no_inertial` | body | assumed ``mass``, kg; 0 for a frame on the body that it is welded to |
-| `no_inertia` | body with a mass | ``mass`` kg; its tensor is that of its shapes, or of a sphere |
+| `no_inertia` | body with a mass | ``mass`` kg; ``computed`` 1 for the tensor of its shapes, else that of a sphere |
 | `tiny_inertia` | body | ``mass`` kg, ``largest`` moment kg m² |
 | `impossible_inertia` | body | ``a``, ``b``, ``c`` as written, ``cut_to`` the largest possible moment, kg m² |
 | `no_colliders` | robot | |

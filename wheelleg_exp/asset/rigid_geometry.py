@@ -192,14 +192,22 @@ class Solid:
         r = frame.rotation
         return Solid(self.volume, r @ self.center + frame.translation, r @ self.inertia @ r.T)
 
+    def scaled(self, factor: float) -> Solid:
+        """Return the solid with the density ``factor`` instead of 1."""
+        return Solid(self.volume * factor, self.center, self.inertia * factor)
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A piece of a body: mass (kg), centre (3,) in m, and tensor (3, 3) about that centre in kg m²."""
+    """A piece of a body: mass (kg), centre (3,) in m, and tensor (3, 3) about that centre in kg m².
+
+    ``assumed`` (kg) is the share of the mass that no number of the robot file gives.
+    """
 
     mass: float
     center: Array
     tensor: Array
+    assumed: float = 0.0
 
     @staticmethod
     def of(solid: Solid, mass: float) -> Part:
@@ -210,7 +218,7 @@ class Part:
         """Return a copy of the body part whose inertia tensor is about the point ``center`` (parallel-axis theorem)."""
         offset = self.center - center
         shift = self.mass * ((offset @ offset) * np.eye(3) - np.outer(offset, offset))
-        return Part(self.mass, center, self.tensor + shift)
+        return Part(self.mass, center, self.tensor + shift, self.assumed)
 
 
 def combined_center(parts: Iterable[Part]) -> Array:
@@ -283,9 +291,48 @@ def cone(radius: float, half: float) -> Solid:
 
 
 def primitive(kind: str, size: tuple[float, ...]) -> Solid:
-    """Return the solid of a box, sphere, ellipsoid, capsule or cylinder (``size`` as in MuJoCo)."""
+    """Return the solid of a box, sphere, ellipsoid, capsule, cylinder, or cone (``size`` as in MuJoCo)."""
+    if kind == "cone":
+        return cone(*size)
     volume, moments = _FORMS[kind](*size)
     return Solid(volume, np.zeros(3), np.diag(moments))
+
+
+def hollow(kind: str, size: tuple[float, ...], wall: float | None) -> Solid:
+    """Return the wall of a hollow primitive, from its surface inward to the depth ``wall`` (m).
+
+    Without ``wall``, ``Solid.volume`` is the area of the surface in m², as for MuJoCo's shells.
+    """
+    depth = 1e-5 * min(size)  # A central difference over this depth has a relative error of about 1e-11.
+    start, end = (-depth / 2, depth / 2) if wall is None else (0.0, wall)
+    outer, inner = _inset(kind, size, start), _inset(kind, size, end)
+    assert outer is not None
+    if inner is None:
+        return outer
+    parts = [Part.of(outer, outer.volume), Part.of(inner, -inner.volume)]
+    volume, center = outer.volume - inner.volume, combined_center(parts)
+    found = Solid(volume, center, combined_tensor(parts, volume, center))
+    if wall is not None:
+        return found
+    if kind == "ellipsoid":  # The surfaces differ by less than ``depth`` off the axes: Thomsen's formula for the area.
+        (a, b, c), power = size, 1.6075
+        mean = ((a * b) ** power + (a * c) ** power + (b * c) ** power) / 3
+        depth = volume / (4 * math.pi * mean ** (1 / power))
+    return found.scaled(1 / depth)
+
+
+def _inset(kind: str, size: tuple[float, ...], depth: float) -> Solid | None:
+    """Return the solid whose surface is ``depth`` (m) inside that of a primitive; None if nothing is so deep inside."""
+    inside, shift = tuple(value - depth for value in size), 0.0
+    if kind == "capsule":  # The half spheres have the same centres.
+        inside = (size[0] - depth, size[1])
+    elif kind == "cone":  # The cones are similar, and their inscribed spheres have the same centre.
+        radius, half = size
+        inscribed = 2 * half * radius / (radius + math.hypot(radius, 2 * half))
+        ratio = 1 - depth / inscribed
+        inside, shift = (radius * ratio, half * ratio), (1 - ratio) * (inscribed - half)
+    frame = Frame(np.eye(3), np.array([0.0, 0.0, shift]))
+    return primitive(kind, inside).seen_from(frame) if min(inside) > 0 else None
 
 
 def _box(a: float, b: float, c: float) -> tuple[float, tuple[float, float, float]]:

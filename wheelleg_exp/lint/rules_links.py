@@ -74,10 +74,11 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
         message += f"{'link has' if len(links) == 1 else 'links have'} no mass, such as '{links[0].subject}'"
         hint = "mass and inertia of these links in the file"
         yield Finding(_ASSET, message, hint, {"assumed_kg": assumed, "mass_kg": total})
-    guessed = [item.subject for item in records(case, "no_inertia") if item.numbers["mass"] > _WEIGHTY * total]
+    guessed = [item for item in records(case, "no_inertia") if item.numbers["mass"] > _WEIGHTY * total]
     if guessed:
+        how = "computed from the shapes" if guessed[0].numbers.get("computed") else "assumed"
         message = f"{len(guessed)} {'link has' if len(guessed) == 1 else 'links have'} a mass and no inertia, such as "
-        message += f"'{guessed[0]}': the tensor is assumed"
+        message += f"'{guessed[0].subject}': the tensor is {how}"
         yield Finding(_ASSET, message, "inertia of these links in the file", {"links": float(len(guessed))})
 
 

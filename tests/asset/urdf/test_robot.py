@@ -232,6 +232,20 @@ def test_a_link_without_inertial_welded_to_one_with_inertial_weighs_nothing(tmp_
     assert found == {name: {"mass": 0} for name in ("base", "spacer", "sole")}
 
 
+@pytest.mark.parametrize("signs", [(-1, -1, 1), (1, -1, 1), (-1, -1, -1)])
+@pytest.mark.parametrize("rpy", ["0 0 0", "0.3 -0.2 0.5"])
+def test_negative_moments_have_the_size_that_the_file_writes(tmp_path, signs, rpy):
+    """MuJoCo's reader refuses negative moments, so it reads the same file with positive moments."""
+    sizes = (0.0012, 0.00119, 0.00033)
+    written, right = (" ".join(str(k * v) for k, v in zip(s, sizes, strict=True)) for s in (signs, (1, 1, 1)))
+    wrong, correct = (pair(child=inertial(0.53, rpy=rpy, tensor=f"{text} 0 0 0")) for text in (written, right))
+    model, conversion = made(tmp_path, wrong)
+    expected = mujoco.MjModel.from_xml_path(str(write(tmp_path, correct, "right")))
+    np.testing.assert_allclose(tensor(model, "b"), tensor(expected, "b"), rtol=1e-6, atol=1e-9)
+    assert any("without their signs" in text for text in conversion.report.warnings)
+    assert not any(item.kind == "impossible_inertia" for item in conversion.report.findings)
+
+
 def test_a_frame_with_a_negligible_mass_does_not_count_as_mass(tmp_path):
     speck = inertial(4e-15, tensor="2e-27 2e-27 2e-27 0 0 0")
     welded = link("base", BOX, inertial="") + link("imu", inertial=speck) + joint("m", "base", "imu", "fixed")

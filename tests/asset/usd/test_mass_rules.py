@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from wheelleg_exp.errors import AssetError
 
-from ..small_usd import MASS, SI, converted, hinge, link, tensor, write
+from ..small_usd import MASS, SI, converted, cube_inside, hinge, link, tensor, write
 from ..warned import warned
 
 SEEDS = range(40)
@@ -364,3 +365,144 @@ def test_a_shape_below_a_shape_collides_where_a_prim_above_both_says_so(tmp_path
     np.testing.assert_allclose(both.body("a").mass[0], 1000 * (0.008 + 4 / 3 * math.pi * 0.027), rtol=1e-6)
     one, _ = converted(write(tmp_path, link("a", mass="", inside=inner.format(own=api))))
     np.testing.assert_allclose(one.body("a").mass[0], 8, rtol=1e-6)
+
+
+# ------------------------------------------------------------------ hollow bodies
+SIZES = {  # USD attributes, and MuJoCo's size
+    "Cube": ("double size = 0.2", "box", [0.1, 0.2, 0.3], "(1, 2, 3)"),
+    "Sphere": ("double radius = 0.1", "sphere", [0.1], "(1, 1, 1)"),
+    "Ellipsoid": ("double radius = 0.1", "ellipsoid", [0.1, 0.2, 0.05], "(1, 2, 0.5)"),
+    "Cylinder": ("double radius = 0.1\n double height = 0.2", "cylinder", [0.1, 0.1], "(1, 1, 1)"),
+    "Capsule": ("double radius = 0.1\n double height = 0.4", "capsule", [0.1, 0.2], "(1, 1, 1)"),
+}
+MUJOCO, NEWTON = "bool mjc:shellinertia = 1\n", 'token newton:massModel = "shell"\n'
+
+
+def hollow(kind: str, text: str, density: float = 500) -> str:
+    size, scale = SIZES[kind][0], SIZES[kind][3]
+    return shape(kind.replace("Ellipsoid", "Sphere"), f"{size}\n float physics:density = {density}\n {text}", scale)
+
+
+def compiled(kind: str, size: list[float], density: float, shell: bool) -> tuple[float, np.ndarray]:
+    spec = mujoco.MjSpec()
+    geom = spec.worldbody.add_body().add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"), density=density)
+    geom.size = [*size, 0, 0][:3]
+    geom.typeinertia = mujoco.mjtGeomInertia.mjINERTIA_SHELL if shell else mujoco.mjtGeomInertia.mjINERTIA_VOLUME
+    model = spec.compile()
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[1])
+    turn = turn.reshape(3, 3)
+    return model.body_mass[1], turn @ np.diag(model.body_inertia[1]) @ turn.T
+
+
+@pytest.mark.parametrize("kind", SIZES)
+@pytest.mark.parametrize("text", [MUJOCO, NEWTON])
+@pytest.mark.parametrize("own", ["", "float physics:mass = 3"])
+def test_a_hollow_shape_without_thickness_is_mujocos_shell(tmp_path, kind, text, own):
+    model, done = converted(write(tmp_path, link("a", mass=own, inside=hollow(kind, text))))
+    mass, inertia = compiled(*SIZES[kind][1:3], 500, shell=True)
+    scale = 3 / mass if own else 1
+    np.testing.assert_allclose(model.body("a").mass, mass * scale, rtol=1e-7)
+    np.testing.assert_allclose(tensor(model, "a"), inertia * scale, rtol=2e-5, atol=1e-12)
+    name = text.split()[1]
+    assert name in {item.name for item in done.report.mapped}
+    assert done.report.totals["assumed_mass"] == 0
+
+
+@pytest.mark.parametrize("kind", SIZES)
+@pytest.mark.parametrize("units", [1.0, 0.01])
+def test_newtons_hollow_shape_is_the_difference_of_two_solids(tmp_path, kind, units):
+    wall, size = 0.02, SIZES[kind][2]
+    inner = [size[0] - wall, size[1]] if kind == "Capsule" else [value - wall for value in size]
+    text = NEWTON + f"float newton:shellThickness = {wall / units}"
+    inside = hollow(kind, text, 500 * units**3)
+    if units != 1:  # the same shape, drawn in centimetres
+        inside = inside.replace("= 0.1\n", "= 10\n").replace("= 0.2\n", "= 20\n").replace("= 0.4\n", "= 40\n")
+    header = SI.replace("metersPerUnit = 1", f"metersPerUnit = {units}")
+    model, done = converted(write(tmp_path, link("a", mass="", inside=inside), header=header))
+    (mass, inertia), (less, away) = (compiled(SIZES[kind][1], part, 500, shell=False) for part in (size, inner))
+    np.testing.assert_allclose(model.body("a").mass, mass - less, rtol=1e-5)
+    np.testing.assert_allclose(tensor(model, "a"), inertia - away, rtol=1e-5, atol=1e-12)
+    assert {"newton:massModel", "newton:shellThickness"} <= {item.name for item in done.report.mapped}
+    assert "newton:shellThickness" not in {item.name for item in done.report.left_out}
+
+
+def test_a_hollow_cone_and_a_hollow_mesh_have_the_mass_of_their_walls(tmp_path):
+    """The surface of a cone: π r (r + s), with the slant height s; of a cube: 6 a²."""
+    thin = NEWTON + "float newton:shellThickness = 0.0001\n float physics:density = 500"
+    cone = shape("Cone", f"double radius = 0.1\n double height = 0.2\n {thin}")
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=cone)))
+    slant = math.hypot(0.1, 0.2)
+    np.testing.assert_allclose(model.body("a").mass, 0.05 * math.pi * 0.1 * (0.1 + slant), rtol=2e-3)
+    side = slant / (slant + 0.1)  # The lateral surface's centre is h/3 above the base.
+    np.testing.assert_allclose(model.body("a").ipos, [0, 0, 0.2 / 3 * side - 0.1], atol=2e-4)
+    axial = 0.05 * math.pi * 0.1 * (0.1 + slant) * 0.1**2 / 2
+    np.testing.assert_allclose(tensor(model, "a")[2, 2], axial, rtol=5e-3)
+    mesh = cube_inside("convexHull").replace(
+        "uniform token physics:approximation", thin + "\n uniform token physics:approximation"
+    )
+    model, done = converted(write(tmp_path, link("a", mass="", inside=mesh.replace("0.0001", "0.002"))))
+    np.testing.assert_allclose(model.body("a").mass, 6 * 0.2**2 * 0.002 * 500, rtol=1e-6)
+    assert {"newton:massModel", "newton:shellThickness"} <= {item.name for item in done.report.mapped}
+
+
+def test_a_wall_thicker_than_the_shape_is_solid_and_a_solid_needs_no_wall(tmp_path):
+    for text in (NEWTON + "float newton:shellThickness = 7", "float newton:shellThickness = 0.001"):
+        model, done = converted(write(tmp_path, link("a", mass="", inside=hollow("Sphere", text))))
+        np.testing.assert_allclose(model.body("a").mass, 500 * 4 / 3 * math.pi * 0.001, rtol=1e-6)
+    (left,) = [item for item in done.report.left_out if item.name == "newton:shellThickness"]
+    assert "the shape is solid" in left.reason
+
+
+# ------------------------------------------------------------------ what the file says, and what is assumed
+HALF = cube("left", "float physics:mass = 3", at="(-1, 0, 0)") + cube("right", at="(1, 0, 0)")
+
+
+@pytest.mark.parametrize(
+    ("body", "inside", "mass", "assumed"),
+    [
+        ("float physics:mass = 2", cube("c"), 2, 0),
+        ("float physics:density = 500", cube("c"), 4, 0),
+        ("", cube("c", "float physics:mass = 0.05"), 0.05, 0),
+        ("", cube("c", "float physics:mass = 0.05\n float physics:density = 700"), 0.05, 0),
+        ("", cube("c", "float physics:density = 700"), 5.6, 0),
+        ("", cube("c", BOUND), 90.72, 0),
+        ("", cube("c"), 8, 8),
+        ("", HALF, 11, 8),
+        ("float physics:density = 500", HALF, 7, 0),
+        ("float physics:mass = 2", HALF, 2, 0),
+        ("", "", 1, 1),
+        ("", cube("c", "float physics:mass = 0"), 8, 8),
+        ("float physics:density = -5", cube("c"), 8, 8),
+    ],
+)
+@pytest.mark.parametrize("instance", [False, True])
+def test_the_report_calls_only_that_mass_assumed_that_the_file_does_not_give(
+    tmp_path, body, inside, mass, assumed, instance
+):
+    outside = ""
+    if instance and inside:
+        outside = f'class Xform "proto"\n{{\n{inside}\n}}\n'
+        inside = 'def Xform "shapes" (\n instanceable = true\n prepend references = </proto>\n)\n{\n}\n'
+    model, done = converted(write(tmp_path, link("a", mass=body, inside=inside) + LEAD, outside=outside))
+    np.testing.assert_allclose(model.body("a").mass, mass, rtol=1e-6)
+    totals, report = done.report.totals, done.report
+    assert (totals["mass"], totals["assumed_mass"]) == pytest.approx((mass, assumed))
+    assert {item.kind for item in report.findings} & {"no_inertial"} == ({"no_inertial"} if assumed else set())
+    about = [item.rule for item in report.assumptions if "mass" in item.rule or "inertia" in item.rule]
+    assert bool(about) is bool(assumed)
+    assert (report.verdict.level == "doubtful") is bool(assumed)
+    reasons = [item.reason for item in report.left_out if any("/a/" in path for path in item.values)]
+    both = "0.05" in inside + outside and "700" in inside + outside
+    assert any("has mass properties of its own" in reason for reason in reasons) is both
+
+
+def test_a_negative_tensor_is_read_without_its_signs(tmp_path):
+    six = "float physics:mass = 1\n double[] newton:inertia = [-0.0012, -0.00119, 0.00033, 0, 0, 0]"
+    for mass in (six, MASS.replace("(0.1, 0.1, 0.1)", "(-0.0012, -0.00119, 0.00033)")):
+        model, done = converted(write(tmp_path, link("a", mass=mass)))
+        np.testing.assert_allclose(np.diag(tensor(model, "a")), [0.0012, 0.00119, 0.00033], rtol=1e-6)
+        assert any("without their signs" in text for text in done.report.warnings)
+    own = cube("c", "float physics:mass = 1\n float3 physics:diagonalInertia = (-0.0012, 0.00119, 0.00033)")
+    model, _ = converted(write(tmp_path, link("a", mass="", inside=own)))
+    np.testing.assert_allclose(np.diag(tensor(model, "a")), [0.0012, 0.00119, 0.00033], rtol=1e-6)

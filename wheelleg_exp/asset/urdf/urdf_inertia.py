@@ -13,7 +13,7 @@ from wheelleg_exp.asset import rigid_geometry as geometry
 from wheelleg_exp.asset.robot_description import BaseMode, Inertial, Vec3
 from wheelleg_exp.asset.urdf.urdf_document import Document
 from wheelleg_exp.asset.urdf.urdf_tree import Link, Seen, Tree
-from wheelleg_exp.asset.usd.bodies.mass import SMALLEST
+from wheelleg_exp.asset.usd.bodies.mass import SMALLEST, without_signs
 from wheelleg_exp.asset.usd.gprims import Shape, solid_of
 
 NOISE = 1e-6  # A URDF link's inertia counts as missing if its radius of gyration is below 1e-6 m.
@@ -75,10 +75,10 @@ def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) ->
     if seen.mass == 0:
         return geometry.Part(0.0, center, np.zeros((3, 3)))
     parts = _weights(colliders)
-    document.ledger.find("no_inertia", link.name, link.element.path, mass=seen.mass)
+    document.ledger.find("no_inertia", link.name, link.element.path, mass=seen.mass, computed=bool(parts))
     if not parts:
         return _bare(document, link, seen.mass, center)
-    document.ledger.assume(link.element.path, "no inertia: from the colliders, scaled to the mass", "tensor")
+    document.ledger.mapped(link.element.path, "collision", "inertial diaginertia, computed from the shapes")
     return geometry.Part(seen.mass, center, geometry.combined_tensor(parts, seen.mass, center))
 
 
@@ -107,7 +107,10 @@ def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | Non
     tensor = np.array([[a, d, e], [d, b, f], [e, f, c]])
     if not any(values):
         return None
-    moments, _ = geometry.principal(tensor)
+    moments, axes = geometry.principal(tensor)
+    if min(moments) < 0:
+        moments = without_signs(document.ledger, link.element.path, moments)
+        tensor = geometry.tensor_of(moments, axes)
     if max(moments) > mass * NOISE**2:
         return tensor
     document.ledger.leave(element.path, "inertia", "zero but for rounding, which means not given", _listed(moments))

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.usd.ledger import plain
@@ -61,6 +62,7 @@ _PROPERTIES: tuple[tuple[str, str], ...] = (
     (r"isaac:physics", "Isaac's own index of links and joints; they are read from the prims"),
     (r"material:binding:", "no collider of the robot takes its friction from this binding"),
     (r"urdf:", "a note of the converter that wrote the file"),
+    (r"newton:(massModel|shellThickness)|mjc:(shell)?inertia", "not needed: the mass is given, or the shape is solid"),
     (r"newton:", "a setting of Newton's solvers"),
     (r"mjcf:", "a note of the importer, not physics"),
     (r"mjc:", "this MuJoCo attribute is not supported yet"),
@@ -180,12 +182,15 @@ def _why(stage: Stage, prim: Usd.Prim, prop: Usd.Property) -> str:
     if isinstance(prop, Usd.Attribute) and not prop.HasAuthoredValue():
         return "declared without a value"
     if name in _MASS:
-        applied = schemas(prim)
+        applied, value = schemas(prim), plain(prop.Get()) if isinstance(prop, Usd.Attribute) else None
+        numbers = np.asarray(value if isinstance(value, (int, float, tuple)) else np.nan)
+        signed = name in ("physics:centerOfMass", "physics:principalAxes")
+        if not np.isfinite(numbers).all() or (numbers.max() <= 0 and not signed):
+            return "it means not given: not positive, or not finite"
         if "PhysicsRigidBodyAPI" in applied:
-            weighed = name == "physics:density"
-            return "not needed: the mass is given" if weighed else "it means not given: 0 or not finite"
+            return "not needed: the body or its colliders have a mass or a density of their own"
         if "PhysicsCollisionAPI" in applied:
-            return "it means not given, or the body has its own mass properties"
+            return "not needed: the collider or its body has mass properties of its own"
         if "PhysicsMaterialAPI" in applied:
             return "not needed: the bound shapes have a mass, or nothing is bound to this material"
         return "mass properties count only on bodies, colliders, and materials"

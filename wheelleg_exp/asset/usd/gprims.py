@@ -25,7 +25,8 @@ _SEGMENTS = 32  # polygon sides
 class Shape:
     """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the solid, in the shape's frame, from which PhysX computes the mass; None means the shape itself.
+    ``weight`` is the kind, size, and frame in the shape's frame of the solid from which PhysX computes the mass; None
+    means the shape itself.
     """
 
     kind: ShapeKind
@@ -34,7 +35,7 @@ class Shape:
     vertices: Array | None = None
     faces: NDArray[np.int64] | None = None
     note: str = ""
-    weight: Solid | None = None
+    weight: tuple[str, tuple[float, ...], Frame] | None = None
 
     @property
     def points(self) -> int:
@@ -100,7 +101,7 @@ def _sphere(prim: Usd.Prim, at: _Placing) -> Shape:
         return Shape("ellipsoid", _clean(*(radius * np.abs(values))), at.frame(axes), note="scaled unevenly: ellipsoid")
     if np.ptp(at.scale) <= 1e-6 * at.scale.max():
         return Shape("sphere", _clean(radius * at.scale[0]), at.frame())
-    weight = geometry.primitive("sphere", (radius * float(at.scale.max()),))
+    weight = ("sphere", (radius * float(at.scale.max()),), Frame.identity())
     note = "scaled unevenly: ellipsoid, weighed as the sphere around it as in PhysX"
     return Shape("ellipsoid", _clean(*(radius * at.scale)), at.frame(), note=note, weight=weight)
 
@@ -240,9 +241,8 @@ def _weighed(hull: Shape, kind: str, at: _Placing, axis: str, radius: float, hal
         return hull
     along = "XYZ".index(axis)
     size = radius * float(np.delete(at.scale, along).max()), half * float(at.scale[along])
-    solid = geometry.cone(*size) if kind == "cone" else geometry.primitive(kind, size)
     mirrored = -1.0 if np.trace(at.stretch) < 0 else 1.0
-    return replace(hull, weight=solid.seen_from(Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
+    return replace(hull, weight=(kind, size, Frame(mirrored * Z_TO_AXIS[axis], np.zeros(3))))
 
 
 def _hull(points: Array, at: _Placing, note: str) -> Shape:
@@ -260,20 +260,22 @@ _MAKERS: dict[str, Maker] = {
 }
 
 
-def solid_of(shape: Shape, volume: MeshVolume = "convex") -> Solid | None:
+def solid_of(shape: Shape, volume: MeshVolume = "convex", wall: float | None = None) -> Solid | None:
     """Return the solid of a shape, in the frame of the shape's body; None if the shape has no volume.
 
-    ``volume`` is the volume mode of a mesh, a value of the MJCF mesh attribute ``inertia``.
+    ``volume`` is the volume mode of a mesh, a value of the MJCF mesh attribute ``inertia``. A ``shell`` is hollow, also
+    if the shape is not a mesh. Its wall has the depth ``wall`` (m); None means that ``Solid.volume`` is the area.
     """
     if shape.kind == "plane":
         return None
+    shell, itself = volume == "shell", (shape.kind, shape.size, Frame.identity())
+    kind, size, frame = itself if shape.weight is None or (shell and shape.vertices is None) else shape.weight
     try:
-        if shape.weight is not None:
-            solid = shape.weight
-        elif shape.vertices is None:
-            solid = geometry.primitive(shape.kind, shape.size)
+        if kind != "mesh":
+            solid = (geometry.hollow(kind, size, wall) if shell else geometry.primitive(kind, size)).seen_from(frame)
         else:
-            solid = geometry.mesh_solid(shape.vertices, shape.faces, volume)
+            assert shape.vertices is not None
+            solid = geometry.mesh_solid(shape.vertices, shape.faces, volume).scaled(wall or 1.0)
     except ValueError:
         return None
     return solid.seen_from(shape.frame) if solid.volume > 0 else None

@@ -53,7 +53,7 @@ _KINDS: dict[ValueKind, str] = {  # patterns of full names
         mjc:option:(impratio|density|viscosity|o_margin|noslip_\w+|timestep)
     """,
     ValueKind("flag"): r"""
-        mjc:(flag:\w+|actEarly|actuatorgravcomp|jointInParent|compiler:(balanceInertia|autoLimits))
+        mjc:(flag:\w+|actEarly|shellinertia|actuatorgravcomp|jointInParent|compiler:(balanceInertia|autoLimits))
         physics:(\w+Enabled|excludeFromArticulation|invertFilteredGroups) physxRigidBody:disableGravity
         physxArticulation:(enabledSelfCollisions|articulationEnabled) newton:(\w+Enabled|jointsAddMobility)
     """,
@@ -228,10 +228,6 @@ class Ledger:
     def findings(self) -> tuple[Finding, ...]:
         """The recorded findings, such as ``no_colliders``."""
         return tuple(self._found.values())
-
-    def assumed(self, path: object, rule: str) -> bool:
-        """Return whether the converter has recorded an assumption with the text ``rule`` about a USD path."""
-        return (str(path), rule) in self._assumed
 
     def knows(self, path: object, name: str) -> bool:
         """Return whether the USD attribute ``name`` is already recorded, as converted or as omitted."""

@@ -48,7 +48,6 @@ NEWTON = {"newton:contactMargin": "margin", "newton:contactGap": "gap"}
 _OF_GEOMS = "condim priority solref solimp solmix margin gap"
 GEOM_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_GEOMS.split()}
 FRICTION = (0.0, 0.005, 0.0001)
-EXPLICIT = ("mjc:shellinertia", "mjc:inertia")
 DRAWN = {"MjcCollisionAPI", "MjcImageableAPI"}
 SOLID = {"MjcCollisionAPI", "NewtonCollisionAPI"}
 
@@ -64,8 +63,6 @@ def with_geom_extra(stage: Stage, geom: desc.Geom) -> desc.Geom:
     if solid:
         found |= mjc.attributes(stage, solid, NEWTON) | mjc.attributes(stage, solid, GEOM_ATTRIBUTES)
         found |= _friction(stage, prim, geom)
-        for name in EXPLICIT:
-            mjc.leave(stage, solid, name, "masses and inertias are written explicitly")
     return replace(geom, extra={**geom.extra, **found}) if found else geom
 
 

@@ -281,7 +281,9 @@ class _Builder:
                 apart, relative = relative.distance(link.frame), link.frame
                 if max(apart) > CLOSE:
                     rule = "the root of a fixed-base articulation stays where it is drawn, as in PhysX"
-                    self.stage.ledger.assume(joint.path, rule, f"the frames differ by {apart[0]:.4g} m, {apart[1]:.4g} rad")
+                    self.stage.ledger.assume(
+                        joint.path, rule, f"the frames differ by {apart[0]:.4g} m, {apart[1]:.4g} rad"
+                    )
         above = self._placed[parent.path] if parent else Frame.identity()
         self._placed[link.path] = above @ relative
         self.tree.nodes.append(Node(link, parent, relative.pose(), joint, floating, depth))

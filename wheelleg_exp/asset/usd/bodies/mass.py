@@ -8,22 +8,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from pxr import Usd
 
 from wheelleg_exp.asset import rigid_geometry as geometry
-from wheelleg_exp.asset.rigid_geometry import Array, MeshVolume, Part, Solid
+from wheelleg_exp.asset.rigid_geometry import Array, Part, Solid
 from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.colliders import Piece
 from wheelleg_exp.asset.usd.gprims import solid_of
+from wheelleg_exp.asset.usd.ledger import Ledger
 from wheelleg_exp.asset.usd.materials import physics_material
 from wheelleg_exp.asset.usd.usd_stage import Stage, find_scene, given, schemas
 from wheelleg_exp.errors import AssetError
-
-NO_DENSITY = "no density: water"
 
 
 def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
@@ -36,7 +35,7 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     for piece in pieces:
         if piece.carrier is None or _weightless(stage, piece.carrier):
             continue
-        if (solid := solid_of(piece.shape, _volume(piece))) is not None:
+        if (solid := _solid(stage, piece)) is not None:
             shapes.setdefault(str(piece.carrier.GetPath()), []).append((piece, solid))
     return [_collider(stage, link, group) for group in shapes.values()]
 
@@ -52,26 +51,28 @@ def _weightless(stage: Stage, carrier: Usd.Prim) -> bool:
 def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Part:
     carrier = group[0][0].carrier
     assert carrier is not None
-    parts = [Part.of(solid, _density(stage, link, piece) * solid.volume) for piece, solid in group]
+    apart = carrier.GetPath() != link.prim.GetPath()
+    weighed = apart and given(stage.ledger.read(carrier, "physics:mass"))
+    densities = [_density(stage, link, piece, weighed) for piece, _ in group]
+    parts = [Part.of(s, (d or geometry.WATER) * s.volume) for d, (_, s) in zip(densities, group, strict=True)]
     # All shapes of one collider prim share the prim's MassAPI, so sum their masses.
     mass, center = sum(part.mass for part in parts), geometry.combined_center(parts)
-    whole = Part(mass, center, geometry.combined_tensor(parts, mass, center))
-    if carrier.GetPath() == link.prim.GetPath():
-        return whole
-    return _with_own(stage, link, carrier, whole)
+    assumed = sum(part.mass for d, part in zip(densities, parts, strict=True) if d is None)
+    whole = Part(mass, center, geometry.combined_tensor(parts, mass, center), 0.0 if weighed else assumed)
+    return _with_own(stage, link, carrier, whole) if apart else whole
 
 
 def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
     ledger, path = stage.ledger, carrier.GetPath()
     mass, tensor = ledger.read(carrier, "physics:mass"), part.tensor
     if given(mass):
-        ledger.mapped(path, "physics:mass", "the body's mass")
+        ledger.mapped(path, "physics:mass", "mass properties of the body")
         part = Part(stage.units.mass(mass), part.center, tensor * (stage.units.mass(mass) / part.mass))
     inside = link.frame.inverse().matrix() @ stage.matrix(carrier)
     own = _own_tensor(stage, carrier, inside)
     center = _center(stage, carrier, inside, "the body's centre of mass")
     part = part if center is None else part.about(center)
-    return part if own is None else Part(part.mass, part.center, own)
+    return part if own is None else replace(part, tensor=own)
 
 
 def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
@@ -84,42 +85,48 @@ def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
     if axes is not None and any(axes):
         stage.ledger.mapped(carrier.GetPath(), "physics:principalAxes", "the body's inertia")
         turn = turn @ geometry.rotation_matrix(axes)
-    return np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in moments]) @ turn.T)
+    sizes = without_signs(stage.ledger, str(carrier.GetPath()), moments)
+    return np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in sizes]) @ turn.T)
 
 
-def _volume(piece: Piece) -> MeshVolume:
-    """Return a mesh's volume mode: that of the convex hull, as in PhysX, unless MuJoCo's or Newton's schema sets it."""
+def _solid(stage: Stage, piece: Piece) -> Solid | None:
+    """Return a collider's solid: of a mesh, the convex hull, as in PhysX, unless MuJoCo's or Newton's schema differs.
+
+    MuJoCo's hollow shapes have no thickness: their density is that of a surface, in kilograms per square unit.
+    """
+
+    def read(name: str) -> Any:
+        found = (stage.ledger.read(prim, name, "mass properties of the body") for prim in (piece.prim, piece.carrier))
+        return next((value for value in found if value is not None), None)
+
+    kind, newtons = read("mjc:inertia"), read("newton:massModel") == "shell"
+    if newtons or kind == "shell" or read("mjc:shellinertia"):
+        wall = read("newton:shellThickness")
+        if given(wall):
+            return solid_of(piece.shape, "shell", wall * stage.units.meters)
+        if newtons:
+            stage.ledger.assume(piece.path, "a hollow collider without a thickness: a surface", "density per area")
+        surface = solid_of(piece.shape, "shell")
+        return surface and surface.scaled(stage.units.meters)
+    return solid_of(piece.shape, kind if kind in ("exact", "legacy") else "convex")
+
+
+def _density(stage: Stage, link: Link, piece: Piece, weighed: bool) -> float | None:
+    """Return a shape's density in kg/m³; None if the file gives none. With ``weighed``, the collider has a mass."""
     assert piece.carrier is not None
-    for prim in (piece.prim, piece.carrier):
-        model = prim.GetAttribute("newton:massModel")
-        if model and model.HasAuthoredValue() and model.Get() == "shell":
-            return "shell"
-        kind = prim.GetAttribute("mjc:inertia")
-        value = kind.Get() if kind and kind.HasAuthoredValue() else None
-        if value in ("exact", "legacy", "shell", "convex"):
-            return cast(MeshVolume, value)
-    return "convex"
-
-
-def _density(stage: Stage, link: Link, piece: Piece) -> float:
-    assert piece.carrier is not None
-    for prim in (piece.carrier, link.prim):
-        value = stage.ledger.read(prim, "physics:density", "the body's mass")
+    material = physics_material(stage, piece.prim)
+    for prim in filter(None, (material,) if weighed else (piece.carrier, link.prim, material)):
+        value = stage.ledger.read(prim, "physics:density")
         if given(value):
+            stage.ledger.mapped(prim.GetPath(), "physics:density", "mass properties of the body")
             return stage.units.density(value)
         if value is not None and value < 0:
             stage.ledger.warn(f"{prim.GetPath()}: a density of {value:g} is taken for not given")
-    material = physics_material(stage, piece.prim)
-    if material is not None:
-        value = stage.ledger.read(material, "physics:density", "the body's mass")
-        if given(value):
-            return stage.units.density(value)
-    if not given(stage.ledger.read(link.prim, "physics:mass")):
-        stage.ledger.assume(link.path, NO_DENSITY, f"{geometry.WATER:g} kg/m³")
-    return geometry.WATER
+    return None
 
 
 SMALLEST = 1e-15  # kg or kg m²
+NOISE = 1e-6  # relative error of a computed moment
 
 
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
@@ -140,10 +147,12 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
     mass = _computed_mass(stage, link, parts) if authored is None else authored
     if mass < SMALLEST and not welded:
         raise AssetError(f"the mass of {mass:g} kg is too small", key=link.path, expected=f"more than {SMALLEST:g} kg")
+    missing = {"mass": authored, "pos": center, "diaginertia": moments}
+    if parts:  # UsdPhysics defines these values, so the converter does not assume them.
+        names = ", ".join(name for name, value in missing.items() if value is None)
+        stage.ledger.mapped(link.path, "colliders", f"inertial {names}, computed from the shapes")
     if center is None:
         center = geometry.combined_center(parts)
-        if parts:
-            stage.ledger.assume(link.path, "no centre of mass: that of the colliders", str(geometry.vec3(center)))
     values, axes = _moments(stage, link, parts, mass, center, moments)
     x, y, z = (geometry.plain_float(value) for value in values)
     if max(x, y, z) < SMALLEST:
@@ -161,7 +170,7 @@ def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -
     rule = f"moments below {SMALLEST:g} kg m² on a body that moves: as if they were not given"
     stage.ledger.assume(link.path, rule, f"{largest:g}")
     center = np.array(found.center_of_mass)
-    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, found.mass, center, True))
+    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, found.mass, center))
     if max(moments) < SMALLEST:
         message = f"principal moments of {found.moments} kg m² are too small"
         raise AssetError(message, key=link.path, expected=f"more than {SMALLEST:g}")
@@ -177,7 +186,7 @@ def _moments(
         return authored[0], authored[1]
     if authored is not None and not parts:
         return authored[0], (1.0, 0.0, 0.0, 0.0)
-    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, mass, center, authored is None))
+    moments, axes = geometry.principal(_computed_tensor(stage, link, parts, mass, center))
     if authored is not None:
         if axes != (1.0, 0.0, 0.0, 0.0):
             stage.ledger.assume(link.path, "no principal axes: those of the colliders, as PhysX", str(axes))
@@ -197,11 +206,12 @@ def _authored_mass(stage: Stage, link: Link) -> float | None:
 
 
 def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
-    total = sum(part.mass for part in parts)
+    total, assumed = sum(part.mass for part in parts), sum(part.assumed for part in parts)
     if total > 0:
-        stage.ledger.assume(link.path, "no mass: from the colliders' volume and density", f"{total:.6g} kg")
-        if stage.ledger.assumed(link.path, NO_DENSITY):
-            stage.ledger.find("no_inertial", link.name, link.path, mass=total)
+        if assumed > 0:
+            rule = f"no mass and no density: the colliders' volume, {geometry.WATER:g} kg/m³"
+            stage.ledger.assume(link.path, rule, f"{assumed:.6g} of {total:.6g} kg")
+            stage.ledger.find("no_inertial", link.name, link.path, mass=assumed)
         return total
     mass = stage.units.mass(geometry.BARE_MASS)
     stage.ledger.assume(link.path, "no mass and no collider: as PhysX, one unit of the stage", f"{mass:g} kg")
@@ -231,16 +241,24 @@ def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | No
             if (value := ledger.read(link.prim, name)) is not None:
                 ledger.leave(link.path, name, "newton:inertia, the full tensor, wins over it", value)
         a, b, c, d, e, f = (v * factor for v in six)
-        return geometry.principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
+        six_moments, axes = geometry.principal(np.array([[a, d, e], [d, b, f], [e, f, c]]))
+        return without_signs(ledger, link.path, six_moments), axes
     moments = ledger.read(link.prim, "physics:diagonalInertia")
     if not given_moments(moments):
         return None
     ledger.mapped(link.path, "physics:diagonalInertia", "inertial diaginertia")
-    if any(v < 0 for v in moments):
-        ledger.assume(link.path, "a negative moment of inertia: its size counts", str(moments))
-        ledger.warn(f"{link.path}: moments of inertia {moments} are read without their signs")
-    x, y, z = (abs(float(v)) * factor for v in moments)
+    x, y, z = (float(v) * factor for v in without_signs(ledger, link.path, moments))
     return (x, y, z), _authored_axes(stage, link)
+
+
+def without_signs(ledger: Ledger, path: str, moments: Vec3) -> Vec3:
+    """Return principal moments without their signs, as PhysX reads them; report a negative moment."""
+    if min(moments) < -NOISE * max(map(abs, moments)):
+        shown = "(" + ", ".join(f"{value:.6g}" for value in moments) + ")"
+        ledger.assume(path, "a negative moment of inertia: its size counts", shown)
+        ledger.warn(f"{path}: the moments of inertia {shown} are read without their signs")
+    x, y, z = map(abs, moments)
+    return x, y, z
 
 
 def given_moments(value: Any) -> bool:
@@ -256,16 +274,11 @@ def _authored_axes(stage: Stage, link: Link) -> Quat | None:
     return geometry.quaternion(geometry.rotation_matrix(axes))
 
 
-def _computed_tensor(
-    stage: Stage, link: Link, parts: list[Part], mass: float, center: Array, for_moments: bool
-) -> Array:
+def _computed_tensor(stage: Stage, link: Link, parts: list[Part], mass: float, center: Array) -> Array:
     if sum(part.mass for part in parts) <= 0:
         stage.ledger.assume(link.path, "no inertia and no collider: a sphere of 0.1 m, as PhysX", "0.4 m r²")
         stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
         return np.eye(3) * 0.4 * mass * geometry.BARE_RADIUS**2
-    if for_moments:
-        stage.ledger.assume(link.path, "no inertia: from the colliders, scaled to the mass", "principal moments")
-        stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
     return geometry.combined_tensor(parts, mass, center)
 
 
