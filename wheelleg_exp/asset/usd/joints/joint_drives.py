@@ -200,5 +200,9 @@ def force_range(stage: Stage, prim: Usd.Prim) -> tuple[float, float] | None:
     if low is not None or high is not None:
         low, high = float(low or 0.0), float(high or 0.0)
         return (low, high) if low < high else None
-    value = effort_limit(stage.ledger.read(prim, "urdf:limit:effort", "actuatorfrcrange"))  # in SI units, as in a URDF
+    authored = stage.ledger.read(prim, "urdf:limit:effort", "actuatorfrcrange")  # in SI units, as in a URDF
+    value = effort_limit(authored)
+    if value is None and authored is not None:
+        reason = "zero, infinite or huge, which means not given"
+        stage.ledger.leave(prim.GetPath(), "urdf:limit:effort", reason, authored)
     return None if value is None else (-value, value)
