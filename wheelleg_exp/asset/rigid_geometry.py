@@ -314,7 +314,7 @@ def hollow(kind: str, size: tuple[float, ...], wall: float | None) -> Solid:
     found = Solid(volume, center, combined_tensor(parts, volume, center))
     if wall is not None:
         return found
-    if kind == "ellipsoid":  # The surfaces differ by less than ``depth`` off the axes: Thomsen's formula for the area.
+    if kind == "ellipsoid":  # The wall's depth is not constant, so the area is that of Thomsen's formula, as in MuJoCo.
         (a, b, c), power = size, 1.6075
         mean = ((a * b) ** power + (a * c) ** power + (b * c) ** power) / 3
         depth = volume / (4 * math.pi * mean ** (1 / power))
@@ -322,11 +322,11 @@ def hollow(kind: str, size: tuple[float, ...], wall: float | None) -> Solid:
 
 
 def _inset(kind: str, size: tuple[float, ...], depth: float) -> Solid | None:
-    """Return the solid whose surface is ``depth`` (m) inside that of a primitive; None if nothing is so deep inside."""
+    """Return the solid whose surface is ``depth`` (m) below a primitive's surface; None if the solid is empty."""
     inside, shift = tuple(value - depth for value in size), 0.0
     if kind == "capsule":  # The half spheres have the same centres.
         inside = (size[0] - depth, size[1])
-    elif kind == "cone":  # The cones are similar, and their inscribed spheres have the same centre.
+    elif kind == "cone":  # The cones are similar, and the centres of their inscribed spheres coincide.
         radius, half = size
         inscribed = 2 * half * radius / (radius + math.hypot(radius, 2 * half))
         ratio = 1 - depth / inscribed

@@ -90,9 +90,10 @@ def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
 
 
 def _solid(stage: Stage, piece: Piece) -> Solid | None:
-    """Return a collider's solid: of a mesh, the convex hull, as in PhysX, unless MuJoCo's or Newton's schema differs.
+    """Return a collider's solid, or its wall if MuJoCo's or Newton's schema makes the collider hollow.
 
-    MuJoCo's hollow shapes have no thickness: their density is that of a surface, in kilograms per square unit.
+    The solid of a mesh is its convex hull, as in PhysX, unless MuJoCo's schema says otherwise. Without a thickness, the
+    density of a hollow collider is per area, as in MuJoCo: ``Solid.volume`` is the area times one unit of the stage.
     """
 
     def read(name: str) -> Any:

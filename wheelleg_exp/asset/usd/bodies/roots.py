@@ -92,9 +92,10 @@ def find_roots(stage: Stage, graph: Graph) -> list[Root]:
 
 
 def is_pinned(stage: Stage, link: Link, joint: Joint) -> bool:
-    """Return whether a joint to the world fixes the base of an articulation: ArticulationRootAPI above it or on it.
+    """Return whether a joint to the world makes ``link`` the fixed base of an articulation, as in PhysX.
 
-    In PhysX, an articulation whose mark is on the body itself floats, and its joint to the world is a constraint.
+    ArticulationRootAPI is on the joint or above the body. An articulation with ArticulationRootAPI on the body floats,
+    and its joint to the world is a constraint.
     """
     path = Sdf.Path(link.path)
     return any(
