@@ -232,6 +232,14 @@ def test_a_link_without_inertial_welded_to_one_with_inertial_weighs_nothing(tmp_
     assert found == {name: {"mass": 0} for name in ("base", "spacer", "sole")}
 
 
+def test_the_inertia_of_a_link_without_mass_is_left_out(tmp_path):
+    foot = link("foot", inertial=inertial(0, tensor="-1 2 3 0 0 0")) + joint("f", "a", "foot", "fixed")
+    model, conversion = made(tmp_path, link("a") + foot)
+    assert model.body("foot").mass[0] == 0
+    assert left(conversion)["/robot/link[foot]/inertial/inertia ixx"] == "the link has no mass"
+    assert not any("signs" in text for text in conversion.report.warnings)
+
+
 @pytest.mark.parametrize("signs", [(-1, -1, 1), (1, -1, 1), (-1, -1, -1)])
 @pytest.mark.parametrize("rpy", ["0 0 0", "0.3 -0.2 0.5"])
 def test_negative_moments_have_the_size_that_the_file_writes(tmp_path, signs, rpy):

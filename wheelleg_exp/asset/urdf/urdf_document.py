@@ -223,6 +223,7 @@ ATTRIBUTES = {  # by tag and name
     ("axis", "xyz"): "a joint of this kind has no axis",
     ("axis", "rpy"): "an axis is a direction",
     ("robot", "version"): "the version of the format",
+    **{("inertia", name): "the link has no mass" for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")},
 }
 
 

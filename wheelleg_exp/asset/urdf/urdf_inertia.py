@@ -102,10 +102,11 @@ def _tensor(document: Document, link: Link, mass: float) -> geometry.Array | Non
     element = link.element.first("inertial", "inertia")
     if element is None:
         return None
-    values = [document.number(element, name, "inertial diaginertia and quat") or 0.0 for name in TENSOR]
+    became = "inertial diaginertia and quat" if mass else None
+    values = [document.number(element, name, became) or 0.0 for name in TENSOR]
     a, b, c, d, e, f = values
     tensor = np.array([[a, d, e], [d, b, f], [e, f, c]])
-    if not any(values):
+    if not any(values) or not mass:
         return None
     moments, axes = geometry.principal(tensor)
     if min(moments) < 0:
