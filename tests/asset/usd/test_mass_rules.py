@@ -450,6 +450,9 @@ def test_a_wall_thicker_than_the_shape_is_solid_and_a_solid_needs_no_wall(tmp_pa
     for text in (NEWTON + "float newton:shellThickness = 7", "float newton:shellThickness = 0.001"):
         model, done = converted(write(tmp_path, link("a", mass="", inside=hollow("Sphere", text))))
         np.testing.assert_allclose(model.body("a").mass, 500 * 4 / 3 * math.pi * 0.001, rtol=1e-6)
+    mesh = cube_inside("convexHull").replace("uniform", f"{NEWTON} float newton:shellThickness = 7\nuniform")
+    block, _ = converted(write(tmp_path, link("a", mass="", inside=mesh)))
+    np.testing.assert_allclose(block.body("a").mass, 8, rtol=1e-6)
     (left,) = [item for item in done.report.left_out if item.name == "newton:shellThickness"]
     assert "the shape is solid" in left.reason
 

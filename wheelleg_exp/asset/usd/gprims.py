@@ -276,6 +276,8 @@ def solid_of(shape: Shape, volume: MeshVolume = "convex", wall: float | None = N
         else:
             assert shape.vertices is not None
             solid = geometry.mesh_solid(shape.vertices, shape.faces, volume).scaled(wall or 1.0)
+            if wall:  # A mesh weighs at most as much as its hull.
+                solid = min(solid, geometry.mesh_solid(shape.vertices, shape.faces, "convex"), key=lambda s: s.volume)
     except ValueError:
         return None
     return solid.seen_from(shape.frame) if solid.volume > 0 else None
