@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 
 from pxr import Sdf
@@ -45,19 +45,13 @@ class Graph:
 
     def component(self, start: Link) -> list[Link]:
         """Return ``start`` and all bodies that joints of the spanning tree connect to ``start``, level by level."""
-        return list(self.distances(start, closing=False)[0])
-
-    def distances(self, start: Link, closing: bool) -> tuple[list[Link], int]:
-        """Return all bodies connected to ``start``, nearest first, and the number of joints to the farthest body."""
-        depth, queue, order = {start.path: 0}, deque([start]), [start]
+        found, queue = {start.path: start}, deque([start])
         while queue:
-            link = queue.popleft()
-            for other in self.neighbours(link, closing):
-                if other.path not in depth:
-                    depth[other.path] = depth[link.path] + 1
+            for other in self.neighbours(queue.popleft()):
+                if other.path not in found:
+                    found[other.path] = other
                     queue.append(other)
-                    order.append(other)
-        return order, depth[order[-1].path]
+        return list(found.values())
 
 
 def find_roots(stage: Stage, graph: Graph) -> list[Root]:
@@ -138,17 +132,20 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 def centre(graph: Graph, part: list[Link]) -> Link:
     """Return the centre of a graph: the body from which the number of joints to the farthest body is smallest.
 
-    If several bodies of a graph are equally central, the body with the most joints is the centre; then the body that a
-    depth-first search from the first body by path reaches first, as in PhysX.
+    As in PhysX, a depth-first search counts the joints, also those that close loops. If several bodies of a graph are
+    equally central, the body with the most joints is the centre; then the body that a depth-first search from the first
+    body by path reaches first.
     """
-    first = min(part, key=lambda link: Sdf.Path(link.path))
-    order = {link.path: index for index, link in enumerate(_by_depth(graph, first))}
-    return min(
-        _middle(graph, part), key=lambda link: (graph.distances(link, True)[1], -len(graph.at(link)), order[link.path])
-    )
+    first = min(part, key=lambda link: link.path)
+    order = {link.path: index for index, (link, _) in enumerate(_by_depth(graph, first))}
+
+    def rank(link: Link) -> tuple[int, int, int]:
+        return max(d for _, d in _by_depth(graph, link, order)), -len(graph.at(link)), order[link.path]
+
+    return min(part if len(part) <= MANY else _middle(graph, part), key=rank)
 
 
-MANY = 200
+MANY = 200  # Only the core of a larger graph is searched, to save time. The centre of a tree is in its core.
 
 
 def _middle(graph: Graph, part: list[Link]) -> list[Link]:
@@ -170,13 +167,18 @@ def _middle(graph: Graph, part: list[Link]) -> list[Link]:
     return list(left.values())[:MANY]
 
 
-def _by_depth(graph: Graph, start: Link) -> Iterable[Link]:
-    seen, stack = set(), [start]
+def _by_depth(graph: Graph, start: Link, part: Container[str] | None = None) -> Iterable[tuple[Link, int]]:
+    """Yield the bodies in the order of a depth-first search, joints by path, with their depths in joints.
+
+    With ``part``, the paths of bodies, the search includes the joints between these bodies that close loops.
+    """
+    seen, stack = set(), [(start, 0)]
     while stack:
-        link = stack.pop()
+        link, depth = stack.pop()
         if link.path in seen:
             continue
         seen.add(link.path)
-        yield link
-        joints = sorted((j for j in graph.at(link) if not j.closes), key=lambda j: Sdf.Path(j.path), reverse=True)
-        stack.extend(other for j in joints if (other := j.other(link)) is not None)
+        yield link, depth
+        joints = sorted(graph.at(link), key=lambda joint: joint.path, reverse=True)
+        found = [other for j in joints if (other := j.other(link)) is not None and (part or not j.closes)]
+        stack.extend((other, depth + 1) for other in found if part is None or other.path in part)
