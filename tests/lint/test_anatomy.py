@@ -189,15 +189,55 @@ def test_a_caster_trails_a_passive_vertical_joint(trail, drives, caster):
     wheel = next(wheel for wheel in found.wheels if wheel.joint == "f_roll")
     assert (wheel.side, wheel.steered, wheel.caster, found.forward) == ("middle", True, caster, (1, 0, 0))
     assert not any(other.steered or other.caster for other in found.wheels if other is not wheel)
+    assert found.casters == ({"f_swivel", "f_roll"} if caster else set())
 
 
-@pytest.mark.parametrize(("trail", "driven"), [(0.0, True), (0.0, False), (0.03, True), (0.03, False)])
-def test_wheels_that_are_all_steered_roll_one_way(trail, driven):
-    drives = '<actuator><motor joint="l_swivel"/><motor joint="r_swivel"/></actuator>' if driven else ""
-    found = look(mjcf(swivel("l", 0.0, 0.2, trail) + swivel("r", 0.0, -0.2, trail), drives))
-    assert found.forward == pytest.approx((1, 0, 0))
-    assert (found.support_width, [wheel.side for wheel in found.wheels]) == (pytest.approx(0.4), ["left", "right"])
-    assert [(wheel.steered, wheel.caster) for wheel in found.wheels] == [(True, False)] * 2
+LIGHT = '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-5 1e-5 1e-5"/>'
+BALL = f"""<body name="fork" pos="0.3 0 -0.67"><joint name="pitch" axis="0 1 0"/>{LIGHT}
+  <body><joint name="roll" axis="1 0 0"/>{LIGHT}
+  <body><joint name="spin" axis="0 1 0"/><geom type="sphere" size="0.03"/></body></body></body>"""
+
+
+@pytest.mark.parametrize(
+    ("caster", "joints"),
+    [
+        (swivel("f", 0.3, 0.0, 0.03).replace('axis="0 0 1"', 'axis="0 0 1" range="-1.57 1.57"'), "f_swivel f_roll"),
+        (swivel("f", 0.3, 0.0, -0.03), "f_swivel f_roll"),
+        (swivel("f", 0.3, 0.1, 0.03) + swivel("b", 0.3, -0.1, 0.03), "f_swivel f_roll b_swivel b_roll"),
+        (BALL, "pitch roll spin"),
+        (swivel("f", 0.3, 0.0, 0.03).replace('axis="0 0 1"', 'axis="0 0 1" range="-0.6 0.6"'), ""),
+    ],
+    ids=["half a turn", "in front", "two", "ball", "steered"],
+)
+def test_the_joints_of_casters_are_known_without_motors(caster, joints):
+    found = look(mjcf(leg("l", 0.2) + leg("r", -0.2) + caster))
+    assert (found.casters, found.forward) == (set(joints.split()), (1, 0, 0))
+
+
+def along_its_axis(side: str, y: float, shift: float) -> str:
+    """Return a leg whose hip and knee are drawn ``shift`` m along their axes; nothing else changes."""
+    text = leg(side, y + shift).replace('fromto="0 0 -0.05 0 0 -', f'fromto="0 {-shift} -0.05 0 {-shift} -')
+    return text.replace(f'name="{side}_wheel" pos="0 0 -0.3"', f'name="{side}_wheel" pos="0 {-shift} -0.3"')
+
+
+@pytest.mark.parametrize("shift", [0.05, 0.2, 0.9])
+def test_the_place_of_an_anchor_on_its_hinge_axis_has_no_meaning(shift):
+    plain, found = look(two_legged()), look(mjcf(leg("l", TRACK / 2) + along_its_axis("r", -TRACK / 2, shift)))
+    assert [(p.left, p.right, p.sign) for p in found.mirrored] == [(p.left, p.right, p.sign) for p in plain.mirrored]
+    assert [pair.offset for pair in found.mirrored] == pytest.approx([0.0] * 3, abs=1e-9)
+    assert (found.unmatched, found.size, found.middle) == ((), pytest.approx(plain.size), pytest.approx(plain.middle))
+
+
+@pytest.mark.parametrize("wheel", [WHEEL, MESH], ids=["cylinder", "mesh"])
+def test_wheels_without_a_joint_are_named(wheel):
+    text = mjcf(leg("l", 0.2, wheel=wheel) + leg("r", -0.2, wheel=wheel), asset=disc(64))
+    text = re.sub('<joint name="._axle"[^>]*>', "", text)
+    found = look(text)
+    assert (found.wheels, set(found.near)) == ((), {"l_wheel", "r_wheel"})
+    assert "fixed" in found.near["l_wheel"]
+    assert "l_wheel" in found.cannot_stand
+    foot = look(re.sub('<geom type="(cylinder|mesh)"[^>]*>', '<geom type="sphere" size="0.1"/>', text))
+    assert (foot.near, foot.cannot_stand) == ({}, "")
 
 
 WIDE = '<geom type="cylinder" size="0.1 0.05" pos="0 0.03 0" euler="1.5707963267948966 0 0"/>'

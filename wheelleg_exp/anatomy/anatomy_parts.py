@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Vec3 = tuple[float, float, float]
 Side = Literal["left", "right", "middle"]
+_NARROW = 0.5  # A robot on one wheel falls sideways if the wheel is narrower than half its radius.
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,9 @@ class Wheel:
     driven: bool  # whether a motor drives the wheel; false for a caster
     stands: bool  # whether the wheel touches level ground on which the robot stands
     steered: bool  # whether a vertical hinge without limits steers the wheel, as in a swerve drive
-    # ``caster`` is true for a wheel behind a steering hinge without motor, unless all wheels are behind such hinges.
+    # ``caster`` is true for a wheel behind joints without motor, ``swivels``, unless all wheels are behind such joints.
     caster: bool
+    swivels: tuple[str, ...]
     why: str  # a text for the user: the reason why the link counts as a wheel
 
 
@@ -60,7 +62,8 @@ class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
     A position q of the joint ``left`` is the mirror image of the position ``sign`` · q of the joint ``right``. The
-    mirror image of the left joint's axis is ``offset`` (m) and ``tilt`` (rad) away from the right joint's axis.
+    mirror image of the left joint's axis is ``offset`` (m) and ``tilt`` (rad) away from the right joint's axis. A
+    displacement along a hinge's own axis, or of a slide, has no effect on the motion and does not count.
     """
 
     left: str
@@ -91,7 +94,7 @@ class Anatomy:
     support_height: float | None
     support_width: float  # the largest distance between two wheel contacts along the robot's left axis, m
     support_length: float  # the largest distance between two wheel contacts along the forward axis, m
-    near: dict[str, str]  # maps joints that almost qualify as wheel joints to the reason why they do not
+    near: dict[str, str]  # maps joints and fixed links that look like wheels to the reason why they cannot roll
 
     @property
     def wheel_joints(self) -> list[str]:
@@ -99,9 +102,24 @@ class Anatomy:
         return [wheel.joint for wheel in self.wheels]
 
     @property
+    def casters(self) -> set[str]:
+        """Names of the casters' joints: the wheels and the swivels above them."""
+        return {name for wheel in self.wheels if wheel.swivels for name in (wheel.joint, *wheel.swivels)}
+
+    @property
     def standing(self) -> list[Wheel]:
         """The wheels that carry the robot on level ground."""
         return [wheel for wheel in self.wheels if wheel.stands]
+
+    @property
+    def cannot_stand(self) -> str:
+        """Why the robot cannot stand on its wheels: one cannot roll, or it has one narrow wheel; empty if it can."""
+        wheels, near = set(self.wheel_joints), set(self.near)
+        pairs = [{pair.left, pair.right} for pair in self.mirrored]
+        if near and (not wheels or any(wheels & pair and near & pair for pair in pairs)):
+            return "; ".join(f"'{name}' would be a wheel, but {why}" for name, why in self.near.items())
+        narrow = len(wheels) == 1 and self.wheels[0].width < _NARROW * self.wheels[0].radius
+        return f"the robot stands on one wheel, '{self.wheels[0].joint}', and falls sideways" if narrow else ""
 
     @property
     def one_axle(self) -> bool:
@@ -178,6 +196,12 @@ class Tree:
         """Return the width of a hinge's range, rad; inf if the hinge has no limits."""
         low, high = self.model.jnt_range[joint]
         return float(high - low) if self.model.jnt_limited[joint] else float("inf")
+
+    def place(self, joint: int) -> Array:
+        """Return a hinge axis' point nearest to the centre of mass that it moves, or for a slide, this centre, m."""
+        anchor, axis = self.data.xanchor[joint], self.data.xaxis[joint]
+        centre: Array = self.data.subtree_com[self.model.jnt_bodyid[joint]].copy()
+        return anchor + (centre - anchor) @ axis * axis if self.is_hinge(joint) else centre
 
     def joint_name(self, joint: int) -> str:
         """Return a joint's name, or its number if the joint has no name."""

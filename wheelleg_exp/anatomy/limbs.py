@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import mujoco
 import numpy as np
@@ -18,10 +19,13 @@ _ROUND = 0.9  # A body counts as round if its smallest radius is at least 90 % o
 _ROUGH = 0.6  # A body with a smallest radius below 60 % of its largest radius is never a wheel.
 _LOW = 0.4  # A wheel's lowest point must be in the lowest 40 % of the robot's height.
 _OFF_AXIS = 0.05  # The centre of a wheel's outline is at most 5 % of the wheel's radius away from the hinge axis.
+_SWIVELS = 3.0  # rad; a caster's swivel turns by about half a turn or more.
+_TRAILS = 0.1  # A caster's ground contact is at least 10 % of the wheel radius away from the steering axis.
+_DISC = 1.5  # A collider counts as a disc if it is narrower than 1.5 times its radius; a sphere is not a disc.
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # Two moments of inertia count as equal if they differ by at most 10 %.
 _CENTRED = 0.1  # A wheel's centre of mass is at most 10 % of the wheel's radius away from the axle.
-_HALF_TURN = math.pi  # A round body on a hinge with limits can be a wheel only if the hinge turns by at least pi rad.
+_HALF_TURN = 3.0  # rad; a round body on a hinge with limits looks like a wheel from about half a turn on.
 _AROUND = 48
 
 
@@ -46,9 +50,9 @@ class Found:
     why: str
 
 
-def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
-    """Return the wheels; for each joint that is almost a wheel joint, also return why the joint is no wheel joint."""
-    found, near = [], {}
+def find_wheels(tree: Tree) -> tuple[list[Found], dict[str, str]]:
+    """Return the wheels; also return, by the name of a joint or fixed link that looks like a wheel's, why it is not."""
+    found, near = [], dict[str, str]()
     everything, ends = colliders(tree.model, tree.bodies), np.array([-tree.up, tree.up])
     down, top = reach(tree.model, tree.data, everything, np.zeros(3), ends).tolist() if everything else (0.0, 0.0)
     highest = -down + _LOW * (top + down)  # A wheel's lowest point is at most at this world height, m.
@@ -60,16 +64,17 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
             continue
         solid = colliders(tree.model, bodies)
         drawn = [geom for geom in range(tree.model.ngeom) if int(tree.model.geom_bodyid[geom]) in bodies]
+        name = tree.joint_name(joint)
         if not solid:
-            shown = _measured(tree, joint, bodies, drawn) if drawn else None
-            if tree.turns(joint) > TURNS and shown is not None and shown.roundness >= _ROUND:
-                near[joint] = "nothing of what it turns collides"
+            round_enough = _measured(tree, joint, bodies, drawn).roundness >= _ROUND if drawn else True
+            if tree.turns(joint) > TURNS and round_enough and float(tree.data.xanchor[joint] @ tree.up) <= highest:
+                near[name] = "nothing of what it turns collides"
             continue
         shape = _measured(tree, joint, bodies, solid)
         round_enough = shape.roundness >= _ROUND or (shape.roundness >= _ROUGH and _spins_freely(tree, shape))
         if shape.radius < _SMALLEST or not round_enough:
             if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
-                near[joint] = _where_its_shape_is(shape)
+                near[name] = _where_its_shape_is(shape)
             continue
         low = float(shape.centre @ tree.up) - shape.radius
         if low > highest:
@@ -78,13 +83,34 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[int, str]]:
             found.append(shape)
         elif tree.turns(joint) >= _HALF_TURN:
             low_limit, high_limit = tree.model.jnt_range[joint]
-            near[joint] = f"its limits of {low_limit:.4g} to {high_limit:.4g} rad keep it from rolling on"
-    return found, near
+            near[name] = f"its limits of {low_limit:.4g} to {high_limit:.4g} rad keep it from rolling on"
+    return found, near | _fixed_wheels(tree, everything, -down, near)
+
+
+def _fixed_wheels(tree: Tree, solid: Sequence[int], lowest: float, near: Collection[str]) -> dict[str, str]:
+    """Return, by link name, why a disc that stands on the ground, round about a level axis, cannot roll."""
+    model, data, found = tree.model, tree.data, dict[str, str]()
+    for geom in solid:
+        body = int(model.geom_bodyid[geom])
+        hinges = [joint for joint in tree.joints_of(int(model.body_weldid[body])) if tree.is_hinge(joint)]
+        round_about = [joint for joint in hinges if _measured(tree, joint, [body], [geom]).roundness >= _ROUND]
+        if round_about or any(tree.joint_name(joint) in near for joint in hinges):
+            continue
+        for axis in data.geom_xmat[geom].reshape(3, 3).T:
+            disc = _outlined(tree, -1, [body], [geom], axis, data.geom_xpos[geom])
+            stands = float(disc.centre @ tree.up) - disc.radius - lowest < _OFF_AXIS * disc.radius
+            level = abs(float(axis @ tree.up)) < LEVEL
+            if level and stands and disc.roundness >= _ROUND and _SMALLEST < disc.width < _DISC * disc.radius:
+                found[tree.body_name(body)] = "it is fixed to a link that does not turn about its axle"
+    return found
 
 
 def _measured(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int]) -> Found:
+    return _outlined(tree, joint, bodies, geoms, tree.data.xaxis[joint].copy(), tree.data.xanchor[joint].copy())
+
+
+def _outlined(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int], axis: Array, anchor: Array) -> Found:
     model, data = tree.model, tree.data
-    axis, anchor = data.xaxis[joint].copy(), data.xanchor[joint].copy()
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2 * math.pi, _AROUND, endpoint=False)
@@ -135,6 +161,21 @@ def _spins_freely(tree: Tree, shape: Found) -> bool:
     moments = np.linalg.eigvalsh(cross @ inertia @ cross.T)
     skew = np.linalg.norm(cross @ inertia @ shape.axis)
     return bool(moments[1] - moments[0] <= _EQUAL * moments[1] and skew <= _EQUAL * moments[1])
+
+
+def swivels(tree: Tree, wheel: Found) -> list[int]:
+    """Return the joints above a wheel that make a caster of it: a vertical hinge in front, or more axles of a ball."""
+    found: list[int] = []
+    geoms = colliders(tree.model, wheel.bodies)
+    for joint in reversed(tree.chain(int(tree.model.jnt_bodyid[wheel.joint]))[:-1]):
+        axis, anchor = tree.data.xaxis[joint], tree.data.xanchor[joint]
+        offset = float((wheel.centre - anchor) @ np.cross(wheel.axis, tree.up))
+        trails = abs(float(axis @ tree.up)) > 1.0 - LEVEL / 2 and abs(offset) > _TRAILS * wheel.radius and not found
+        ball = tree.turns(joint) > TURNS and _measured(tree, joint, wheel.bodies, geoms).roundness >= _ROUND
+        if not tree.is_hinge(joint) or tree.turns(joint) < _SWIVELS or not (trails or ball):
+            break
+        found.append(joint)
+    return found
 
 
 def driven_joints(model: mujoco.MjModel) -> set[int]:
@@ -191,40 +232,43 @@ _MIDDLE = 0.01  # A left joint may be to the right of the mirror plane by at mos
 
 def find_mirrored(
     tree: Tree, left: Array, middle: Array, size: float, wheels: dict[int, Array]
-) -> tuple[list[MirroredPair], list[str]]:
-    """Return the pairs of mirrored joints, and the joints without a mirror image.
+) -> tuple[list[MirroredPair], list[str], float]:
+    """Return the pairs of mirrored joints, the joints without a mirror image, and the median distance of images, m.
 
     The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
     ``size`` is the longest edge of the robot's bounding box, m. ``wheels`` maps each wheel joint to its wheel's centre,
-    m, which is used instead of the joint's anchor.
+    m, which is used instead of the joint's place.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints
-    places = {joint: wheels.get(joint, tree.data.xanchor[joint]) - middle for joint in joints}
+    places = {joint: wheels.get(joint, tree.place(joint)) - middle for joint in joints}
     depths = {joint: len(tree.chain(int(tree.model.jnt_bodyid[joint]))) for joint in joints}
-    images: dict[int, tuple[int, float, float, int]] = {}
+    images: dict[int, tuple[int, float, float, int, float]] = {}
     for joint in joints:
         options = []
         for other in joints:
             if tree.model.jnt_type[other] == tree.model.jnt_type[joint] and depths[other] == depths[joint]:
-                offset = float(np.linalg.norm(flip @ places[joint] - places[other]))
+                gap, axis, hinge = flip @ places[joint] - places[other], tree.data.xaxis[other], tree.is_hinge(joint)
                 # ``tilt`` is the angle between the first joint's mirrored axis and the second joint's axis, rad.
                 # In a mirror-symmetric pose, both joints have equal (``sign`` 1) or opposite (``sign`` -1) positions.
                 # A reflection M turns a rotation about the axis a into the rotation by the same angle about -M a.
-                image = flip @ tree.data.xaxis[joint] * (-1.0 if tree.is_hinge(joint) else 1.0)
-                cosine = float(image @ tree.data.xaxis[other])
+                cosine = float(flip @ tree.data.xaxis[joint] * (-1.0 if hinge else 1.0) @ axis)
                 tilt, sign = math.acos(min(1.0, abs(cosine))), 1 if cosine >= 0 else -1
-                if offset <= _APART * size and tilt <= _TILTED:
-                    options.append((offset / size + tilt, other, offset, tilt, sign))
+                distance = float(np.linalg.norm(gap))
+                if distance <= _APART * size and tilt <= _TILTED:
+                    if joint not in wheels:
+                        gap = np.cross(gap, axis) if hinge else 0.0 * gap
+                    options.append((distance / size + tilt, other, float(np.linalg.norm(gap)), tilt, sign, distance))
         if options:
-            _, other, offset, tilt, sign = min(options)
-            images[joint] = other, offset, tilt, sign
+            _, other, offset, tilt, sign, distance = min(options)
+            images[joint] = other, offset, tilt, sign, distance
     # Two joints are a mirrored pair only if each joint is the best match of the other.
-    pairs, matched = [], set()
-    for joint, (other, offset, tilt, sign) in images.items():
+    pairs, matched, distances = [], set(), [0.0]
+    for joint, (other, offset, tilt, sign, distance) in images.items():
         if joint in matched or images.get(other, (None,))[0] != joint:
             continue
         matched |= {joint, other}
+        distances.append(distance)
         first, second = (joint, other) if places[joint] @ left >= -_MIDDLE * size else (other, joint)
         pairs.append(MirroredPair(tree.joint_name(first), tree.joint_name(second), sign, offset, tilt))
-    return pairs, [tree.joint_name(joint) for joint in joints if joint not in matched]
+    return pairs, [tree.joint_name(joint) for joint in joints if joint not in matched], median(distances)

@@ -5,14 +5,22 @@ from __future__ import annotations
 import itertools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from statistics import median
 
 import mujoco
 import numpy as np
 
 from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Side, Tree, Vec3, Wheel, find_base
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
-from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_mirrored, find_wheels
+from wheelleg_exp.anatomy.limbs import (
+    LEVEL,
+    TURNS,
+    Found,
+    driven_joints,
+    find_legs,
+    find_mirrored,
+    find_wheels,
+    swivels,
+)
 
 _PARALLEL = 0.9  # A robot has a forward direction if at least about 90 % of its axles are parallel.
 # ``Wheel.sign`` is 0 for a wheel that rolls at more than 60° to the robot's forward axis.
@@ -20,7 +28,6 @@ _ROLLS = 0.5
 _IN_THE_MIDDLE = 0.05  # A middle wheel is at most 5 % of the track width away from the robot's middle.
 _LEVEL_WITH = 0.03  # A wheel that carries weight is at most 3 % of the robot's size higher than the lowest wheel.
 _AHEAD = 0.3  # The forward direction's first component (x, y, or z) of size 0.3 or more is positive.
-_TRAILS = 0.1  # A caster's ground contact is at least 10 % of the wheel radius away from the steering axis.
 
 
 def anatomy_of(
@@ -38,6 +45,7 @@ def anatomy_of(
     if qpos is not None:
         data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     tree = Tree(model, data, find_base(model))
     moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
     motors = moved if driven is not None or model.nu else set()
@@ -64,7 +72,7 @@ def anatomy_of(
         support_height=min(heights, default=None),
         support_width=_span(ground, axles.left),
         support_length=_span(ground, axles.forward),
-        near={tree.joint_name(joint): why for joint, why in near.items()},
+        near=near,
     )
 
 
@@ -78,21 +86,21 @@ class _Axles:
     contacts: list[Array]
     stands: list[bool]
     steering: list[int | None]
-    casters: list[bool]
+    swivels: list[list[int]]
 
 
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
     steering = [_steering_joint(tree, wheel.joint) for wheel in found]
-    # A wheel behind a steering hinge without motor is a caster, unless all wheels are behind such hinges.
-    trailing = [s is not None and s not in motors and _trails(tree, w, s) for w, s in zip(found, steering, strict=True)]
-    casters = [trails and not all(trailing) for trails in trailing]
-    forward = _forward(tree, [wheel.axis for wheel, caster in zip(found, casters, strict=True) if not caster])
+    # A wheel behind a swivel without motor is a caster, unless all wheels are behind such joints.
+    passive = [[] if set(above) & set(motors) else above for above in (swivels(tree, wheel) for wheel in found)]
+    passive = [[] for _ in found] if all(passive) else passive
+    forward = _forward(tree, [wheel.axis for wheel, above in zip(found, passive, strict=True) if not above])
     left = np.cross(tree.up, forward) if forward is not None else None
     # ``size`` is the longest edge of the bounding box of the robot's colliders and joints in the base frame, m.
     origin, edges = tree.data.xpos[tree.base], tree.to_base
     solid = colliders(tree.model, tree.bodies)
-    anchors = [tree.to_base @ (tree.data.xanchor[joint] - origin) for joint in tree.joints]
+    anchors = [tree.to_base @ (tree.place(joint) - origin) for joint in tree.joints]
     high, low = np.max([*anchors, np.zeros(3)], axis=0), np.min([*anchors, np.zeros(3)], axis=0)
     if solid:
         high = np.maximum(high, reach(tree.model, tree.data, solid, origin, edges))
@@ -100,7 +108,7 @@ def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axle
     size = float((high - low).max())
     lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
     stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
-    return _Axles(size, forward, left, contacts, stands, steering, casters)
+    return _Axles(size, forward, left, contacts, stands, steering, passive)
 
 
 def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, moved: Collection[int]) -> Wheel:
@@ -121,7 +129,8 @@ def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, move
         driven=found.joint in moved,
         stands=axles.stands[number],
         steered=axles.steering[number] is not None,
-        caster=axles.casters[number],
+        caster=bool(axles.swivels[number]),
+        swivels=tuple(map(tree.joint_name, axles.swivels[number])),
         why=found.why,
     )
 
@@ -139,12 +148,6 @@ def _steering_joint(tree: Tree, wheel: int) -> int | None:
         if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
             return joint
     return None
-
-
-def _trails(tree: Tree, wheel: Found, steering: int) -> bool:
-    """Return whether a wheel touches the ground in front of or behind its steering axis, as a caster does."""
-    offset = (wheel.centre - tree.data.xanchor[steering]) @ np.cross(wheel.axis, tree.up)
-    return abs(float(offset)) > _TRAILS * wheel.radius
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:
@@ -192,7 +195,7 @@ def _mirrored(
         middles.append(origin + ((max(places) + min(places)) / 2 - float(origin @ normal)) * normal)
     centres = {wheel.joint: wheel.centre for wheel in wheels}
     found = [(middle, *find_mirrored(tree, normal, middle, max(size, 1e-9), centres)) for middle in middles]
-    return min(found, key=lambda one: (len(one[2]), median([0.0, *(pair.offset for pair in one[1])])))
+    return min(found, key=lambda one: (len(one[2]), one[3]))[:3]
 
 
 def _vec(vector: Array) -> Vec3:

@@ -47,9 +47,10 @@ class Stance:
 
 
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
-    """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles or no leg joints.
+    """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles.
 
-    The base keeps its orientation in the pose ``qpos``, and only leg joints move. ``mujoco.minimize`` solves a
+    The base keeps its orientation in the pose ``qpos``, and only leg joints move. Without leg joints, the stance of a
+    robot on one axle contains its lean; the result is None for several axles. ``mujoco.minimize`` solves a
     nonlinear least-squares problem from several starts. If possible, all wheels touch the ground in the standing pose;
     otherwise, only those that touch the ground in ``qpos``.
     """
@@ -62,8 +63,8 @@ def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] 
 
 def _solved(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     problem = _Problem(model, anatomy, np.array(qpos, dtype=np.float64))
-    if not problem.joints or not problem.hips:
-        return None
+    if not problem.hips:
+        return problem.stance(problem.preferred) if not problem.joints and anatomy.one_axle else None
     problem.choose_height()
     starts = [problem.preferred, *problem.random_poses(_STARTS)]
     found = min((problem.search(start) for start in starts), key=problem.cost)
@@ -79,7 +80,7 @@ class _Problem:
         self.data.qpos[:] = qpos
         mujoco.mj_fwdPosition(model, self.data)
         named = dict.fromkeys(name for leg in anatomy.legs for name in (*leg.joints, *leg.beside))
-        self.joints = [name for name in named if name not in anatomy.wheel_joints]
+        self.joints = [name for name in named if name not in anatomy.casters.union(anatomy.wheel_joints)]
         ids = [model.joint(name).id for name in self.joints]
         self.places = model.jnt_qposadr[ids]
         self.low, self.high = self._limits(ids)
@@ -104,7 +105,8 @@ class _Problem:
         self.one_axle = bool(np.ptp(self._centres() @ self.forward) < self.radius / 2)
         self.rolling = [model.joint(wheel.joint).id for wheel in anatomy.standing if not wheel.caster]
         stand = {wheel.joint for wheel in anatomy.standing}
-        self.hips = [model.joint(leg.joints[0]).id for leg in anatomy.legs if leg.joints and leg.wheel in stand]
+        firsts = [leg.joints[0] for leg in anatomy.legs if leg.joints and leg.wheel in stand]
+        self.hips = [model.joint(name).id for name in firsts if name in self.joints]
         # ``pairs`` lists the mirrored pairs of leg joints, each as two joint indices and a sign.
         index = {name: number for number, name in enumerate(self.joints)}
         pairs = [pair for pair in self.anatomy.mirrored if pair.left != pair.right]
@@ -133,6 +135,8 @@ class _Problem:
 
     def _height(self) -> float:
         """Return the height of the hips (first leg joints) above the wheels' centres, m."""
+        if not self.hips:
+            return 0.0
         hips = np.mean([self.data.xanchor[joint] for joint in self.hips], axis=0)
         return float((hips - self._centres().mean(axis=0)) @ self.up)
 
@@ -268,4 +272,4 @@ def balanced_pose(robot: CompiledRobot) -> dict[str, float] | None:
     """Return positions of the leg joints that balance the robot with a level base; None if no positions do."""
     model = with_written_limits(robot.model, robot.report)
     stance = solve_stance(model, robot.anatomy, robot.data.qpos)
-    return stance.positions if stance is not None and stance.balanced else None
+    return stance.positions or None if stance is not None and stance.balanced else None
