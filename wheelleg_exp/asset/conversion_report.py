@@ -50,8 +50,8 @@ class Finding:
 
 
 def is_placeholder(value: float) -> bool:
-    """Return whether an effort or velocity limit is a placeholder: zero, or too large for any motor."""
-    return value == 0 or abs(value) >= PLACEHOLDER
+    """Return whether an effort or velocity limit is a placeholder: next to zero, or too large for any motor."""
+    return abs(value) < 1e-6 or abs(value) >= PLACEHOLDER
 
 
 def size_problem(mass: float, size: float, lightest: float = DENSITIES[0]) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
-from wheelleg_exp.asset.conversion_report import UNITS, Assumption, Report, size_problem
+from wheelleg_exp.asset.conversion_report import UNITS, Assumption, LeftOut, Report, size_problem
 from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_near
 from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, with_force_gains
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
@@ -28,6 +29,8 @@ from wheelleg_exp.files import temporary_folder
 from wheelleg_exp.machine import machine_memory, shown_bytes
 
 MESHES = "_meshes"
+_TRIALS = 64  # attributes that are left out on trial
+_LIGHT = 1e-4  # A root link with at most 0.01 % of the robot's mass counts as massless.
 
 
 @dataclass(frozen=True)
@@ -64,12 +67,45 @@ def convert(
         for name in report.layers:
             if (source.resolve().parent / name).resolve().is_relative_to(mesh_folder(output).resolve()):
                 raise AssetError(f"mesh files would overwrite the input '{name}'", key="-o", expected="another name")
-        robot = with_force_gains(robot)
-        model = write(robot, report, output)
+        robot, report, model = _built(robot, report, output)
         sizes = [(item, size_problem(**item.numbers)) for item in measure_sizes(robot, model)]
     warnings = (*report.warnings, *(f"{text}; {UNITS}" for _, text in sizes if text), *dict.fromkeys(logged))
     findings = (*report.findings, *(item for item, text in sizes if text))
     return Conversion(output, robot, replace(report, values=values_of(robot), warnings=warnings, findings=findings))
+
+
+def _built(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, Report, mujoco.MjModel]:
+    """Write a robot's MJCF without the attributes that MuJoCo refuses, which the returned report names.
+
+    An attribute is refused if MuJoCo builds the model without the attribute, or gives another reason.
+    """
+    try:
+        driven = with_force_gains(robot)
+        return driven, report, write(driven, report, output)
+    except AssetError as error:
+        refusal = error.message
+        parts = (robot.bodies, robot.dofs, robot.geoms, robot.closures, robot.couplings, robot.tendons)
+        items: list[Any] = [*chain(*parts, robot.actuators, robot.keyframes)]
+        found = [(item.name, item.path, item.extra) for item in items]
+        found += [(kind, report.root, getattr(robot, kind)) for kind in ("option", "flag", "compiler")]
+        suspects = [(*part, key) for part in found for key in part[2] if "MuJoCo cannot build" in refusal]
+        # MuJoCo's reason contains the name of the element or of the attribute.
+        suspects.sort(key=lambda one: (f"'{one[0]}'" not in refusal, one[3] not in refusal))
+        for name, path, extra, key in suspects[:_TRIALS]:
+            value = extra.pop(key)
+            try:
+                write(with_force_gains(robot), report, output)
+            except AssetError as other:
+                if other.message == refusal:
+                    extra[key] = value
+                    continue
+            reason = f"MuJoCo refuses it: {refusal.partition(': ')[2]}"
+            text = f"{path}: the attribute {key} = {value} of '{name}' was left out; {reason}"
+            mapped = tuple(item for item in report.mapped if (item.path, item.became) != (path, key))
+            left = (*report.left_out, LeftOut(key, reason, {path: str(value)}))
+            without = replace(report, mapped=mapped, left_out=left, warnings=(*report.warnings, text))
+            return _built(robot, without, output)
+        raise
 
 
 def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[RobotDescription, Report]:
@@ -92,17 +128,18 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 
 
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
-    """Make the first link with mass the robot's root, in place of massless parents such as ROS's base_footprint.
+    """Make the first link with mass the robot's root, in place of nearly massless parents such as base_footprint.
 
     Tasks measure a robot's height, velocity, and tilt at the robot's root link. No link moves: the massless links are
     welded to the new root at their old poses.
     """
     root = next(robot.children(None), None)
-    if root is None or root.inertial.mass or not root.floating or robot.keyframes or any(root.velocity):
+    least = _LIGHT * robot.mass
+    if root is None or root.inertial.mass > least or not root.floating or robot.keyframes or any(root.velocity):
         return robot, report
     paths = [[root]]
     for path in paths:
-        if path[-1].inertial.mass:
+        if path[-1].inertial.mass > least:
             break
         welded = (body for body in robot.children(path[-1].name) if not (body.dofs or body.floating or body.mocap))
         paths += [[*path, body] for body in welded]
@@ -115,7 +152,7 @@ def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescr
         turned.append(replace(body, parent=child.name, floating=False, pose=inside.inverse().pose()))
         frame = frame @ inside
     turned.append(replace(path[-1], parent=None, floating=True, pose=frame.pose()))
-    rule = "the root link has no mass: the first link with mass is the root"
+    rule = "the root link has next to no mass: the first link with mass is the root"
     report = replace(report, assumptions=(*report.assumptions, Assumption(root.path, rule, path[-1].name)))
     unchanged = (body for body in robot.bodies if body not in path)
     bodies = depth_first((*reversed(turned), *unchanged), attrgetter("name"), attrgetter("parent"))

@@ -7,6 +7,7 @@ The converter refuses a robot file that is too large or refers to too many files
 
 from __future__ import annotations
 
+import re
 import stat
 import threading
 from collections.abc import Iterator
@@ -51,25 +52,36 @@ LOOKS = (*TEXTURES, ".mdl", ".mtlx")
 MESHES = (".stl", ".obj", ".dae", ".ply", ".glb", ".gltf", ".fbx")
 
 
-POINTER = b"version https://git-lfs"
-FETCH = "a Git LFS pointer, not the file itself: 'git lfs pull' fetches the file"
+_POINTER = b"version https://git-lfs"
+_PAGE = re.compile(rb"(\xef\xbb\xbf)?(\s|<\?.*?\?>|<!--.*?-->)*+<(!doctype\s+)?html\b", re.IGNORECASE | re.DOTALL)
+
+
+def wrong_content(start: bytes) -> str:
+    """Return what a file with these first bytes is in place of the wanted file; an empty text if nothing is known."""
+    if start.startswith(_POINTER):
+        return "a Git LFS pointer, not the file itself: 'git lfs pull' fetches the file"
+    return "a web page (HTML), not the file itself: download the raw file" if _PAGE.match(start[:1000]) else ""
 
 
 def require_plain_file(path: Path, expected: str, largest: int = LARGEST_FILE, *, where: str | None = None) -> None:
     """Raise an AssetError for a path that is not a readable file: reading a pipe or a device could wait forever.
 
     ``expected`` is the error message's description of a valid file, such as ``a layer of USD``. ``where`` is the file
-    that refers to ``path``.
+    that refers to ``path``. Without ``where``, a web page or a Git LFS pointer in place of the file is an error, too.
     """
-    problem = _problem_of(path, largest)
+    problem = _problem_of(path, largest, where is None)
     if problem:
         raise AssetError(problem, where=where, expected=expected)
 
 
-def _problem_of(path: Path, largest: int) -> str:
+def _problem_of(path: Path, largest: int, check_content: bool) -> str:
+    content = ""
     try:
         found = path.stat()
         str(path).encode()
+        if check_content and stat.S_ISREG(found.st_mode):
+            with path.open("rb") as file:
+                content = wrong_content(file.read(1000))
     except FileNotFoundError:
         return f"there is no file '{path}'"
     except (OSError, ValueError) as error:
@@ -78,6 +90,8 @@ def _problem_of(path: Path, largest: int) -> str:
         return f"'{path}' is a folder"
     if not stat.S_ISREG(found.st_mode):
         return f"'{path}' is a pipe or a device"
+    if content:
+        return f"'{path}' is {content}"
     return f"'{path}' is larger than {largest >> 20} MB" if found.st_size > largest else ""
 
 

@@ -140,3 +140,24 @@ def test_an_interrupted_swap_leaves_the_older_model_with_its_meshes(tmp_path, mo
         convert(tmp_path / "bot.urdf", output)
     assert (output.read_bytes(), meshes.read_bytes()) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bot.urdf", "out.xml", "out_meshes", "part.obj"]
+
+
+@pytest.mark.parametrize("text", ["<!DOCTYPE html>\n<html>", "\n<!-- saved --><HTML lang='en'><br>", "<html></html>"])
+def test_a_web_page_is_named(text, tmp_path):
+    assert "bot.urdf' is a web page (HTML), not the file itself" in refused(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("inside", "warned"),
+    [
+        ('<limit lower="-90" upper="90" effort="1" velocity="1"/>', ["limits -90 to 90 are 180 rad apart"]),
+        ('<limit lower="0" upper="180" effort="1" velocity="1"/>', ["limits 0 to 180 are 180 rad apart"]),
+        ('<origin rpy="0 90 0"/><limit lower="-1" upper="1"/>', ["rpy '0 90 0' is more than a turn"]),
+        ('<origin rpy="0 1.57 0"/><limit lower="-6.3" upper="6.3"/>', []),
+    ],
+)
+def test_degrees_in_place_of_radians_are_named(inside, warned, tmp_path):
+    (tmp_path / "bot.urdf").write_text(f"{HEAD}{pair('revolute', inside)}</robot>")
+    report = convert(tmp_path / "bot.urdf", tmp_path / "out.xml").report
+    found = [text for text in report.warnings if text.endswith("URDF has radians, not degrees")]
+    assert [text.split(": ")[1] for text in found] == warned

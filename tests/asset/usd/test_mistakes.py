@@ -37,6 +37,7 @@ BODILESS = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" {{\ndef Xform
         ("robot.usda", "not a stage", "cannot be read"),
         ("robot.usdc", "not a stage", "cannot be read"),
         ("robot.usd", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "git lfs pull"),
+        ("robot.usda", "<!DOCTYPE html>\n<html></html>", "robot.usda' is a web page (HTML)"),
         ("bot.usda", BODILESS.format(""), "'bot.usda' has no articulation"),
         ("bot.usda", BODILESS.format(" (references = @parts/arm.usda@)"), "parts/arm.usda"),
     ],

@@ -27,9 +27,31 @@ def pair(folder, text: str = "", *, target: str = "j", inside: str = "", joint: 
     return converted(write(folder, body + actuator(target, text)))
 
 
-def test_an_attribute_that_mujoco_refuses_is_an_error_that_names_the_actuator(tmp_path):
-    with pytest.raises(AssetError, match=r"MuJoCo cannot build a model of 'bot.usda': .*\(at 'motor'\)"):
-        pair(tmp_path, "uniform int mjc:actDim = 3")
+@pytest.mark.parametrize(
+    ("text", "joint", "left_out"),
+    [
+        ("uniform int mjc:actDim = 3", "", ["actdim"]),
+        ('uniform token mjc:dynType = "filter"; uniform int mjc:actDim = 0', "", ["actdim"]),
+        ("uniform double mjc:crankLength = 2; uniform int mjc:actDim = 3", "", ["cranklength", "actdim"]),
+        ("", "uniform double[] mjc:springdamper = [-1, 3]", ["springdamper"]),
+    ],
+)
+def test_attributes_that_mujoco_refuses_are_left_out_by_name(text, joint, left_out, tmp_path):
+    model, done = pair(tmp_path, f"uniform double[] mjc:gear = [3]\n{text}", joint=joint)
+    assert (model.nu, model.actuator("motor").gear[0]) == (1, 3)  # All other attributes remain.
+    refused = [item for item in done.report.left_out if item.reason.startswith("MuJoCo refuses it: ")]
+    assert [item.name for item in refused] == left_out
+    assert [text for text in done.report.warnings if f"the attribute {left_out[0]} = " in text]
+    assert not [item for item in done.report.mapped if item.became in left_out]
+
+
+def test_a_model_that_mujoco_refuses_for_another_reason_stays_an_error(tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise AssetError("MuJoCo cannot build a model of 'bot.usda': no")
+
+    monkeypatch.setattr("wheelleg_exp.asset.convert_robot.load", refuse)
+    with pytest.raises(AssetError, match=r"'bot\.usda': no"):
+        pair(tmp_path, "uniform int mjc:group = 3")
 
 
 def test_parameters_and_ranges_are_those_of_the_file(tmp_path):

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.asset.file_limits import FETCH, LARGEST_TEXT, MOST_POINTS, POINTER, require_plain_file
+from wheelleg_exp.asset.file_limits import LARGEST_TEXT, MOST_POINTS, require_plain_file, wrong_content
 from wheelleg_exp.asset.rigid_geometry import Array, apply, turned
 from wheelleg_exp.asset.urdf.urdf_document import PACKAGE, Document, Element, parse_xml
 from wheelleg_exp.asset.usd.gprims import triangles
@@ -169,8 +169,8 @@ def read_mesh(path: Path) -> Triangles:
     try:
         with np.errstate(all="ignore"):
             data = path.read_bytes()
-            if data.startswith(POINTER):
-                raise ValueError(FETCH)
+            if problem := wrong_content(data):
+                raise ValueError(problem)
             vertices, faces = reader(data)
     except OSError as error:
         raise ValueError(f"the mesh file cannot be read ({error.strerror})") from error

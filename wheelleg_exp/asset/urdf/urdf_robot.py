@@ -24,6 +24,7 @@ from wheelleg_exp.asset.usd.usd_stage import HUGE, effort_limit, endless
 from wheelleg_exp.errors import nearest_name
 
 FAR = 1e6  # rad or m
+_SURELY_DEGREES = 12.6  # No leg joint turns by more than two whole turns.
 UNIT_LENGTH = 1e-6  # allowed error of lengths
 # A planar URDF joint becomes two slides and one hinge of MuJoCo, whose names end with the suffixes in ``PLANAR``.
 PLANAR = ("_transX", "_transY", "_rotZ")
@@ -92,6 +93,8 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
         return None
     if None in found:
         ledger.assume(path, "only one limit is given: the other is 0, URDF's default", f"{low:g} to {high:g}")
+    if angular and _SURELY_DEGREES < max(-low, high) <= 360:
+        ledger.warn(f"{path}: limits {low:g} to {high:g} are {high - low:g} rad apart: URDF has radians, not degrees")
     # A hinge with one huge limit has no limits, because URDF exporters write huge numbers for missing limits.
     no_low, no_high = (endless(math.degrees(value) if angular else value, angular) for value in (low, high))
     if (no_low or no_high) if angular else (no_low and no_high):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -188,6 +189,9 @@ def _origin(document: Document, element: Element, became: str) -> Pose:
         return Pose()
     x, y, z = document.numbers(origin, "xyz", 3, became) or (0.0, 0.0, 0.0)
     angles = document.numbers(origin, "rpy", 3, became) or (0.0, 0.0, 0.0)
+    if max(map(abs, angles)) > math.tau:
+        written = " ".join(f"{angle:g}" for angle in angles)
+        document.ledger.warn(f"{origin.path}: rpy '{written}' is more than a turn: URDF has radians, not degrees")
     quat = np.zeros(4)
     mujoco.mju_euler2Quat(quat, angles, "XYZ")
     sign = -1.0 if quat[0] < 0 else 1.0

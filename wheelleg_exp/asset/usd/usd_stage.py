@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
 
-from wheelleg_exp.asset.file_limits import FETCH, MOST_PRIMS, POINTER, require_near, require_plain_file, require_size
+from wheelleg_exp.asset.file_limits import MOST_PRIMS, require_near, require_plain_file, require_size
 from wheelleg_exp.asset.rigid_geometry import Array, Frame, rigid_part, rounded, single, vec3
 from wheelleg_exp.asset.robot_description import Vec3
 from wheelleg_exp.asset.usd.ledger import Ledger
@@ -195,12 +195,8 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     try:
         if source.suffix.lower() not in SUFFIXES:
             raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
-        with source.open("rb") as file:
-            start = file.read(len(POINTER))
-        if not start:
+        if not source.stat().st_size:
             raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
-        if start == POINTER:
-            raise AssetError(f"'{source.name}' is {FETCH}", where=str(source), expected=expected)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
