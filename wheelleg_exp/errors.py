@@ -5,7 +5,9 @@ from __future__ import annotations
 import difflib
 import re
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 EXIT_OK = 0
@@ -83,6 +85,17 @@ class AssetError(WheellegError):
             return self
         message = (f"{self.key}: " if self.key else "") + self.message + (f", in {self.where}" if self.where else "")
         return AssetError(message, key=key, expected=self.expected, nearest=self.nearest)
+
+
+@contextmanager
+def named_as(copy: Path, original: Path) -> Iterator[None]:
+    """Name the path ``original`` in place of the temporary path ``copy`` in AssetErrors that the block raises."""
+    try:
+        yield
+    except AssetError as error:
+        texts = {name: text for name, text in vars(error).items() if isinstance(text, str)}
+        vars(error).update({name: text.replace(str(copy), str(original)) for name, text in texts.items()})
+        raise
 
 
 class RunDirectoryError(WheellegError):

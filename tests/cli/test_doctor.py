@@ -57,7 +57,7 @@ def test_json_is_one_document(file, capsys):
     ("words", "said"),
     [
         (["nowhere.urdf"], "there is no file 'nowhere.urdf'"),
-        (["nowhere.xml"], "the robot file does not exist"),
+        (["nowhere.xml"], "there is no file"),
         (["task=nothing"], "nothing"),
         (["task=stand", "--screenshot", "picture.jpg"], "ends with .png"),
         ([], "missing"),

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from lint.bodies import leg, mjcf, two_legged
 from lint.cases import found, joints, term
 from lint.patients import HEALTHY, HIP, KNEE, LINK, all_findings, case_of, patient, seeded
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps
@@ -212,7 +213,7 @@ def test_wheels_of_two_sizes(tmp_path):
 def test_wheels_within_limits(tmp_path):
     text = HEALTHY.replace('_axle" axis="0 1 0"', '_axle" axis="0 1 0" range="-3.14 3.14"')
     messages = [finding.message.split(",")[0] for finding in found("wheels_that_do_not_roll", patient(tmp_path, text))]
-    assert messages == [f"'{side}_axle' would be a wheel's joint" for side in "lr"]
+    assert messages == [f"'{side}_axle' would be a wheel" for side in "lr"]
 
 
 @pytest.mark.parametrize(
@@ -229,6 +230,57 @@ def test_wheels_within_limits(tmp_path):
 )  # fmt: skip
 def test_a_side_that_is_not_a_mirror_image(old, new, said, tmp_path):
     assert said in only("mirror_images", patient(tmp_path, seeded((old, new))))
+
+
+SIDE = """<link name="{s}_arm">{arm}<collision><geometry><box size="0.1 0.1 0.135"/></geometry></collision></link>
+  <link name="{s}_cover">{cover}</link><link name="{s}_wheel">{tyre}
+    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
+  <joint name="{s}_hip" type="revolute"><parent link="base"/><child link="{s}_arm"/><origin xyz="0 {y} -0.2"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+  <joint name="{s}_fix" type="fixed"><parent link="{s}_arm"/><child link="{s}_cover"/></joint>
+  <joint name="{s}_axle" type="continuous"><parent link="{s}_arm"/><child link="{s}_wheel"/><origin xyz="0 0 -0.2"/>
+    <axis xyz="0 1 0"/></joint>"""
+
+
+def of_mass(kg: float) -> str:
+    return (
+        f'<inertial><mass value="{kg}"/><inertia ixx=".002" iyy=".002" izz=".002" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def sided(folder, **right: str):
+    """Return the case of a URDF robot; ``right`` replaces the inertials of the right side's ``arm`` or ``cover``."""
+    both = {"arm": of_mass(1.35), "cover": of_mass(0.03), "tyre": of_mass(0.5)}
+    sides = SIDE.format(s="l", y=0.3, **both) + SIDE.format(s="r", y=-0.3, **(both | right))
+    base = f'<link name="base">{of_mass(5)}<collision><geometry>{BOX}</geometry></collision></link>'
+    (folder / "robot.urdf").write_text(f'<robot name="b">{base}{sides}</robot>')
+    return case_of(folder / "robot.urdf")
+
+
+@pytest.mark.parametrize(
+    ("right", "said"),
+    [
+        ({}, []),
+        ({"arm": ""}, ["'r_arm' has no mass in the file, unlike its mirror image"]),
+        ({"cover": of_mass(0)}, ["'r_cover' has no mass in the file, unlike its mirror image"]),
+        ({"cover": of_mass(1e-6)}, ["'r_cover' has no mass in the file, unlike its mirror image"]),
+    ],
+)
+def test_a_link_without_mass_whose_mirror_image_has_one_is_found(right, said, tmp_path):
+    assert [finding.message for finding in found("mirror_images", sided(tmp_path, **right))] == said
+
+
+def test_a_robot_on_one_wheel_falls_sideways(tmp_path):
+    (finding,) = found("balance_pose", patient(tmp_path, mjcf(leg("l", 0.2))))
+    assert finding.message == "the robot stands on one wheel, 'l_axle', and falls sideways"
+
+
+def test_a_root_link_below_the_ground_is_found(tmp_path):
+    text = two_legged().replace('mass="4"', 'mass="4" pos="0 0 1"')
+    text = re.sub('(name="._thigh" pos="0.0 -?0.2) 0"', r'\1 1"', text)
+    # The hips are 1 m above the root link; thigh, shank, and wheel reach 0.7 m down.
+    (finding,) = found("robot_size", patient(tmp_path, text))
+    assert "'trunk' is 300 mm below the ground" in finding.message
 
 
 def test_a_joint_without_limits_and_one_without_motion(tmp_path):
@@ -338,6 +390,19 @@ def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
     file = folder / "robot.urdf"
     file.write_text(URDF.format(inertial=inertial, shape=shape, low=low, effort=effort))
     return case_of(file)
+
+
+def test_missing_files_are_the_first_finding_of_a_robot_without_colliders(tmp_path):
+    lost = '<mesh filename="gone.stl"/>'
+    read_urdf(tmp_path, shape=lost)
+    file = tmp_path / "robot.urdf"
+    file.write_text(file.read_text().replace('<box size="0.2 0.2 0.2"/>', lost))
+    assert [finding.rule for finding in all_findings(case_of(file))][:2] == ["missing_files", "no_colliders"]
+
+
+def test_directions_are_rounded(tmp_path):
+    text = HEALTHY.replace('_axle" axis="0 1 0"', '_axle" axis="0.00000735 1 0"')
+    assert notes_on(patient(tmp_path, text))[0] == "2 wheels; forwards is (1, 0, 0) in the base 'trunk'"
 
 
 def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):

@@ -83,6 +83,65 @@ def test_a_robot_whose_legs_cannot_balance_it_leans(two):
     assert (two.rotation, two.up) == ((1.0, 0.0, 0.0, 0.0), pytest.approx((0.0, 0.0, 1.0), abs=1e-4))
 
 
+def test_a_robot_without_leg_joints_leans_so_that_its_mass_is_over_the_axle(tmp_path):
+    changes = (
+        ('type="revolute"', 'type="fixed"'),
+        (f'<inertial><mass value="{BODY}"/>', f'<inertial><origin xyz="0.06 0 0"/><mass value="{BODY}"/>'),
+    )
+    found = surveyed(edited(urdf(tmp_path), *changes))
+    # The body of 2 kg is 0.2 m above the axle, and the two legs of 0.3 kg are 0.1 m above it.
+    ahead, above = 2 * 0.06 / 2.6, (2 * 0.2 + 0.6 * 0.1) / 2.6
+    assert found.standing.lean == pytest.approx(-math.atan2(ahead, above), abs=1e-6)
+    assert any("starts pitched by -15°" in note for note in found.notes)
+
+
+LIGHT = '<inertial><mass value="0.05"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>'
+CASTER = f"""<link name="fork">{LIGHT}</link>
+  <joint name="swivel" type="continuous"><parent link="body"/><child link="fork"/>
+    <origin xyz="-0.12 0 -0.2"/><axis xyz="0 0 1"/></joint>
+  <link name="roller">{LIGHT}<collision><origin rpy="1.5707963267948966 0 0"/><geometry>
+    <cylinder radius="0.02" length="0.01"/></geometry></collision></link>
+  <joint name="roll" type="continuous"><parent link="fork"/><child link="roller"/><origin xyz="-0.02 0 0"/>
+    <axis xyz="0 1 0"/></joint></robot>"""
+
+
+def test_a_caster_stays_passive(tmp_path):
+    found = surveyed(edited(urdf(tmp_path), (END, CASTER)))
+    assert (found.legs, found.held, found.wheels) == (["l_hip", "r_hip"], [], ["l_axle", "r_axle"])
+    assert (found.passive, found.anatomy.forward) == (["swivel", "roll"], (1.0, 0.0, 0.0))
+    assert found.positions["swivel"] == found.positions["roll"] == 0.0
+    driven = yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["actuators"]
+    assert [group["joint_names_expr"] for group in driven.values()] == [["l_hip", "r_hip"], ["l_axle", "r_axle"]]
+
+
+LIMITED = 'type="revolute"><limit lower="-3.1416" upper="3.1416" effort="8" velocity="20"/>'
+WHEEL = '<collision><origin rpy="1.5707963267948966 0 0"/><geometry><cylinder radius="0.06" length="0.02"/></geometry>'
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ([('type="continuous">', LIMITED)], "'l_axle' would be a wheel, but its limits of -3.142 to 3.142 rad"),
+        ([('type="continuous">', 'type="fixed">')], "'l_wheel' would be a wheel, but it is fixed"),
+        ([(f"{WHEEL}\n    </collision>", "")], "'l_axle' would be a wheel, but nothing of what it turns collides"),
+        ([('"l_axle" type="continuous">', f'"l_axle" {LIMITED}')], "'l_axle' would be a wheel, but its limits"),
+        ([(' xyz="0 0.08 0"', ' xyz="0 0 0"'), ("r_leg", "gone")], "one wheel, 'l_axle', and falls sideways"),
+    ],
+    ids=["limits", "fixed", "no collider", "one side", "one leg"],
+)  # fmt: skip
+def test_a_robot_that_cannot_roll_makes_no_project_unless_allowed(changes, said, tmp_path):
+    source = urdf(tmp_path)
+    if "one wheel" in said:
+        text = source.read_text()
+        source.write_text(text[: text.index('<link name="r_leg">')] + END)
+        changes = changes[:1]
+    edited(source, *changes)
+    with pytest.raises(AssetError, match=re.escape(said)) as refused:
+        surveyed(source)
+    assert "--allow-missing" in refused.value.expected
+    assert survey(source, stock_env(), {}, allow_missing=True).legs
+
+
 def test_the_lowest_collider_touches_the_ground(two):
     touching = LEG + RADIUS
     assert two.facts.standing_height == pytest.approx(touching, abs=1e-6)
@@ -174,9 +233,12 @@ def task_of(found):
     return yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]
 
 
-def test_a_root_link_without_mass_on_the_ground_changes_nothing(kneed, tmp_path):
-    foot = """<link name="base_footprint"/><joint name="foot" type="fixed"><parent link="base_footprint"/>
+@pytest.mark.parametrize("mass", [0, 1e-6], ids=["none", "next to none"])
+def test_a_root_link_without_mass_on_the_ground_changes_nothing(mass, kneed, tmp_path):
+    inertial = LIGHT.replace("0.05", str(mass)).replace("1e-4", "1e-9")
+    foot = """<link name="base_footprint">{}</link><joint name="foot" type="fixed"><parent link="base_footprint"/>
       <child link="body"/><origin xyz="0 0 0.51"/></joint><link name="body">"""
+    foot = foot.format(inertial if mass else "")
     found, (_, expected) = surveyed(edited(knees(tmp_path), ('<link name="body">', foot))), kneed
     assert found.facts.standing_height == pytest.approx(expected.facts.standing_height, abs=5e-4)
     reward, plain = (task_of(robot)["rewards"]["base_height"] for robot in (found, expected))
@@ -340,12 +402,18 @@ def test_a_finding_that_only_the_file_can_solve_is_accepted_by_name(tmp_path):
     assert "action_scale" in {finding.rule for finding in examined(made, "env.actions.mine_legs.scale=50").open}
 
 
-def test_a_robot_of_implausible_size_is_reported_and_not_accepted(tmp_path):
+def test_a_robot_of_implausible_size_is_refused(tmp_path):
     source = edited(urdf(tmp_path / "file"), (f'radius="{RADIUS}"', 'radius="100"'))
-    made = create(tmp_path / "mine", source)
-    assert any("kg in 200" in note for note in made.robot.notes)
-    assert [finding.rule for finding in examined(made).open].count("robot_size") == 1
-    assert not set(made.accepted) & {"robot_size", "link_masses"}
+    with pytest.raises(AssetError, match="3 kg in 200 m"):
+        create(tmp_path / "mine", source)
+    assert not (tmp_path / "mine").exists()
+
+
+def test_an_error_about_the_converted_model_names_the_users_file(tmp_path):
+    source = edited(urdf(tmp_path / "file"), ('type="continuous">', 'type="floating">'))
+    with pytest.raises(AssetError, match="3 robots") as refused:
+        create(tmp_path / "mine", source)
+    assert refused.value.key == str(source)
 
 
 def test_an_effort_that_cannot_hold_the_weight_is_not_used(tmp_path):

@@ -23,11 +23,12 @@ from wheelleg_exp.anatomy import compiled_robot as robots
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
+from wheelleg_exp.asset.file_limits import require_plain_file
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.errors import AssetError, named_as
 from wheelleg_exp.lint.physics_check import RULES, examine
 from wheelleg_exp.lint.rule import Case, Finding
 from wheelleg_exp.managers import SceneManager
@@ -64,7 +65,7 @@ def case_of_file(source: Path) -> Case:
     """Return the case of a robot file (USD, URDF, MJCF): the robot in its default pose with its own drives."""
     stock = compose(["task=stand"]).config["env"]
     env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
-    with tempfile.TemporaryDirectory(prefix="wheelleg-doctor-") as folder:
+    with tempfile.TemporaryDirectory() as folder, named_as(Path(folder) / "model.xml", source):
         if source.suffix.lower() in _MJCF:
             model = _model(source)
             drives = _drives_of_mjcf(model)
@@ -116,8 +117,7 @@ def _limit(value: float | None) -> float:
 
 
 def _model(source: Path) -> mujoco.MjModel:
-    if not source.is_file():
-        raise AssetError("the robot file does not exist", where=str(source))
+    require_plain_file(source, "an MJCF file")
     try:
         return mujoco.MjModel.from_xml_path(str(source))
     except ValueError as error:
@@ -174,7 +174,7 @@ def _actuator(model: mujoco.MjModel, index: int) -> tuple[float, float, float]:
 
 # Rules about basic errors are first, because wrong masses, for example, cause wrong findings about drives.
 OF_ROBOT = (
-    "no_colliders", "missing_files", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
+    "missing_files", "no_colliders", "lost_in_conversion", "assumed_masses", "robot_size", "link_masses",
     "wheels_that_do_not_roll", "rolling_direction", "overlapping_bodies", "mirror_images", "wheel_senses",
     "joint_limits", "balance_pose", "placeholder_limits", "effort_against_load", "weak_wheels",
     "gains_against_time_step", "armature_ratio",
@@ -278,8 +278,8 @@ def _wheels_note(robot: robots.CompiledRobot) -> str:
     count = f"{len(anatomy.wheels)} {'wheel' if len(anatomy.wheels) == 1 else 'wheels'}"
     if anatomy.forward is None:
         return f"{count}, which do not roll in one direction"
-    x, y, z = anatomy.forward
-    return f"{count}; forwards is ({x:.3g}, {y:.3g}, {z:.3g}) in the base '{anatomy.base}'"
+    x, y, z = (round(part, 3) + 0.0 for part in anatomy.forward)
+    return f"{count}; forwards is ({x:g}, {y:g}, {z:g}) in the base '{anatomy.base}'"
 
 
 def _self_collisions(robot: robots.CompiledRobot) -> list[str]:

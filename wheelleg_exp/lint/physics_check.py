@@ -102,7 +102,7 @@ def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
         ("wheel radius", f"{1e3 * facts.wheel_radius:.4g}", "mm"),
         ("track", f"{1e3 * facts.track:.4g}", "mm"),
         ("standing height", f"{1e3 * facts.standing_height:.4g}", "mm"),
-        ("start above the ground", f"{1e3 * facts.clearance:.3g}", "mm"),
+        ("start above the ground", f"{round(1e3 * facts.clearance, 3) + 0.0:g}", "mm"),
         ("friction before randomisation", f"{facts.friction:.3g}", ""),
         ("slips at", f"{facts.friction * facts.wheel_load * facts.wheel_radius:.3g}", "N·m"),
         ("top speed", f"{facts.top_speed:.3g}", "m/s"),

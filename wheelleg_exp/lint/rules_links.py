@@ -19,7 +19,7 @@ from wheelleg_exp.lint.rule import Case, Finding, listed, rule
 _ASSET = "env.robot.asset"
 _ASSUMED = 0.05  # Links without a mass in the robot file may have at most 5 % of the robot's mass.
 _WEIGHTY = 0.01  # The lint rules ignore the inertia of a link with less than 1 % of the robot's mass.
-_LOST = re.compile(r"collider was left out|wrong way round|coupling was left out|drive is lost")
+_LOST = re.compile(r"(collider|coupling|attribute .*) was left out|wrong way round|drive is lost|not degrees")
 _MOST = 4
 
 
@@ -84,9 +84,9 @@ def assumed_masses(case: Case) -> Iterator[Finding]:
 
 @rule
 def lost_in_conversion(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The conversion to MuJoCo lost or changed colliders, joint limits, couplings, or drives of the robot file.
+    """The conversion to MuJoCo lost or changed colliders, limits, couplings, attributes, or drives of the robot file.
 
-    Source: the warnings of the conversion report.
+    Angles that are probably degrees are reported, too. Source: the warnings of the conversion report.
     """
     report = robot.report
     lost = [text for text in report.warnings if _LOST.search(text) and not LOST_MESH.search(text)] if report else []
@@ -108,7 +108,7 @@ _FAST = 200.0  # A joint speed limit above 200 rad/s is implausible.
 
 @rule
 def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """The robot's mass is implausible for its size.
+    """The robot's mass is implausible for its size, or its root link is below the ground.
 
     Wrong units in the robot file are the usual cause of an implausible mass or size. Source: the density of a cube
     whose edge is the robot's longest.
@@ -116,6 +116,11 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     problem = size_problem(case.facts.mass, robot.anatomy.size, _LIGHT)
     if problem:
         yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": robot.anatomy.size})
+    if case.facts.standing_height < 0:
+        message = (
+            f"the root link '{robot.anatomy.base}' is {-1e3 * case.facts.standing_height:.4g} mm below the ground: "
+        )
+        yield Finding(_ASSET, message + "the robot's height is negative", "a root link inside the robot's body")
 
 
 @rule
@@ -191,7 +196,7 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
             free.append(name)
     steered = {name for w in robot.anatomy.wheels if w.steered for g in robot.anatomy.legs for name in g.joints
                if g.wheel == w.joint}  # fmt: skip
-    free = [name for name in free if name not in steered]
+    free = [name for name in free if name not in steered | robot.anatomy.casters]
     if free:
         found = [*records(case, "limits_ignored"), *records(case, "no_limits")]
         written = [item.numbers for item in found if item.subject in free and "lower" in item.numbers]
@@ -217,8 +222,8 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     strong, fast = [], []
     # A task config sets its own effort and velocity limits, so ignore limits of 0 in the robot file.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
-    written = {item.subject for kind in kinds for item in records(case, kind) if item.numbers["value"] == 0}
-    weak = [name for name in facts.joints if name in written and "task" not in case.config]
+    written = {item.subject for kind in kinds for item in records(case, kind) if abs(item.numbers["value"]) < 1}
+    weak = [name for name in facts.joints if name in written - robot.anatomy.casters and "task" not in case.config]
     for name, joint in facts.joints.items():
         if joint.drive is None:
             continue
@@ -231,7 +236,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
          "the motors' largest torque and speed"),
         (strong, f"effort limits beyond {most:.3g} N·m, which lift fifty times the robot on an arm of its own size",
          "the motors' largest torque"),
-        (fast, f"velocity limits above {_FAST:g} rad/s", "the motors' largest speed behind the gear"),
+        (fast, f"velocity limits above {_FAST:g} rad/s", "the motors' largest speed in rad/s (not °/s)"),
     ):  # fmt: skip
         if names:
             drive = facts.joints[names[0]].drive

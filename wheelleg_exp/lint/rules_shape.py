@@ -14,6 +14,7 @@ from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
 from wheelleg_exp.lint.rule import Case, Finding, listed, rule
+from wheelleg_exp.lint.rules_links import records
 from wheelleg_exp.sim.names import match_names
 
 _ASSET = "env.robot.asset"
@@ -80,7 +81,7 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 @rule
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
-    """A wheel is not round, differs from the opposite wheel, is blocked by joint limits, or has no collider.
+    """A wheel is not round, differs from the opposite wheel, is fixed, is blocked by joint limits, or has no collider.
 
     A wheel is round if its colliders have the same radius at all angles around the axle. A box or a coarse hull does
     not roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support function of the
@@ -89,8 +90,10 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
     for name, why in robot.anatomy.near.items():
         yield Finding(
             _ASSET,
-            f"'{name}' would be a wheel's joint, but {why}",
-            'no limits (URDF: type="continuous")' if "limits" in why else "a cylinder on the joint's axis as collider",
+            f"'{name}' would be a wheel, but {why}",
+            "a cylinder on the joint's axis as collider"
+            if "collide" in why
+            else 'a joint without limits about its axle (URDF: type="continuous")',
         )
     wheels = robot.anatomy.wheels
     for wheel in wheels:
@@ -123,10 +126,13 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
     of mass of the parts above the axle is vertically above the axle. If the robot can balance with other leg
     joint positions, the finding's hint lists these positions. On several axles, the robot's centre of mass must be
-    between the outermost wheel contacts. Source: statics of the inverted pendulum.
+    between the outermost wheel contacts. A robot on one narrow wheel falls sideways. Source: statics of the inverted
+    pendulum.
     """
     if robot.anatomy.forward is None:
         return
+    if robot.anatomy.cannot_stand and not robot.anatomy.near:
+        yield Finding(_ASSET, robot.anatomy.cannot_stand, "wheels on both sides: check that no leg is missing")
     weight = weight_over_axle(robot)
     chosen = "task" in case.config
     if not robot.anatomy.one_axle:
@@ -190,12 +196,12 @@ def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     if toe > _TOE:
         message = f"the axle of a wheel is turned by {math.degrees(toe):.2g}° from the other axles: the wheel scrubs"
         yield Finding("env.robot.asset", message, "axes of the wheels' joints that are parallel", {"toe_rad": toe})
-    x, y, _ = anatomy.forward
+    x, y, _ = (round(part, 3) + 0.0 for part in anatomy.forward)
     angle = math.atan2(y, x)
     if abs(angle) > _AHEAD:
         yield Finding(
             "env.robot.asset",
-            f"the wheels roll along ({x:.3g}, {y:.3g}) of the base '{anatomy.base}', but x is forwards in commands, "
+            f"the wheels roll along ({x:g}, {y:g}) of the base '{anatomy.base}', but x is forwards in commands, "
             "rewards, and observations",
             f"turn the base's frame in the file by {math.degrees(angle):.3g}° about z (a link before it, joined "
             f"fixed), or command and reward lin_vel_y in place of lin_vel_x",
@@ -208,6 +214,7 @@ _TILT = math.radians(2)
 _MASS = 0.1  # allowed relative difference
 _CENTRE = 0.02  # A link's centre of mass may be at most 2 % of the robot's size away from its partner's mirror image.
 _ANGLE = 0.02  # The limits or positions of a left and a right joint may differ by at most 0.02 rad.
+_NO_MASS = 1e-5  # share of the robot's mass
 _NEGLIGIBLE = 0.01  # Symmetry checks ignore the centre of mass of a link with less than 1 % of the robot's mass.
 _ALONG = 0.9  # A joint counts as parallel to the wheels' axle if the cosine of the angle between them is above 0.9.
 _HINT = "the same numbers on both sides of the file, with y and the signs of rotations mirrored"
@@ -266,7 +273,7 @@ def _way(sign: int) -> str:
 
 
 @rule
-def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
+def mirror_images(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
     An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the mirror image of each joint and
@@ -285,13 +292,27 @@ def mirror_images(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         message += f"{math.degrees(first.tilt):.2g}° off{by}{others}"
         figures = {"offset_m": first.offset, "tilt_rad": first.tilt, "pairs": float(len(displaced))}
         yield Finding(_ASSET, message, _HINT, figures)
-    findings = [finding for pair in pairs if pair not in displaced for finding in _difference(robot, pair)]
-    yield from findings[:_MOST]
+    massless = {pair: list(_massless(case, robot, pair)) for pair in pairs}
+    yield from [finding for found in massless.values() for finding in found]
+    alike = [pair for pair in pairs if pair not in displaced and not massless[pair]]
+    yield from [finding for pair in alike for finding in _difference(robot, pair)][:_MOST]
     legs = {name for leg in robot.drawn.legs for name in (*leg.joints, leg.wheel)}
     alone = [name for name in robot.drawn.unmatched if name in legs]
     if alone and len(robot.drawn.wheels) % 2 == 0:
         message = ", ".join(f"'{name}'" for name in alone) + " have no mirror image on the other side"
         yield Finding(_ASSET, message, "check the origins of these joints in the file")
+
+
+def _massless(case: Case, robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:
+    """Yield a finding if a link of one side, but not its mirror image, has next to no mass in the robot file."""
+    model, assumed = robot.model, {item.subject for item in records(case, "no_inertial")}
+    joints = [model.joint(name).id for name in (pair.left, pair.right)]
+    sides = [np.flatnonzero(model.body_weldid == model.body_weldid[model.jnt_bodyid[joint]]) for joint in joints]
+    light = model.body_mass <= _NO_MASS * model.body_mass.sum()
+    names = [[n for i in side for n in [model.body(i).name] if light[i] or n in assumed] for side in sides]
+    if len(sides[0]) == len(sides[1]) and len(names[0]) != len(names[1]):
+        shown = listed(max(names, key=len))
+        yield Finding(_ASSET, f"{shown} has no mass in the file, unlike its mirror image", _HINT)
 
 
 def _difference(robot: CompiledRobot, pair: MirroredPair) -> Iterator[Finding]:

@@ -21,7 +21,7 @@ from wheelleg_exp import packages as projects
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.config_errors import raise_all
-from wheelleg_exp.errors import AssetError, WheellegError, nearest_name
+from wheelleg_exp.errors import AssetError, WheellegError, named_as, nearest_name
 from wheelleg_exp.files import for_people, temporary_folder
 from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.paths import configs_dir, find_asset
@@ -184,14 +184,8 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
     source = find_asset(env["robot"]["asset"]) if source is None else source
     # Copy the user's robot file and measure the robot; error messages name the original file, not the copy.
     folder = draft / "assets" / name
-    try:
+    with named_as(folder, source.parent):
         robot = survey(copy_robot(source, folder), env, pose, allow_missing=allow_missing)
-    except AssetError as error:
-        for part in ("message", "key", "where"):
-            value = getattr(error, part)
-            if value is not None:
-                setattr(error, part, value.replace(str(folder), str(source.parent)))
-        raise
     asset = f"{name}/{source.name}"
     texts = {f"robot/{name}.yaml": robot_yaml(name, asset, robot), **config_files(name, robot)}
     write(draft, {f"configs/{file}": text for file, text in texts.items()})
@@ -202,6 +196,8 @@ def _fill(draft: Path, name: str, source: Path | None, allow_missing: bool) -> t
             raise_all(mistakes)
         # Silence each lint rule that reports a problem of the new task, and state the problem as the reason.
         found = examine(compose([f"task={name}"], config_dirs=[draft / projects.CONFIGS])).open
+        loud = [finding.message for finding in found if finding.rule in _NEVER_SILENCED]
+        robot.notes.extend(text for text in loud if text not in robot.notes)
         rules = dict.fromkeys(finding.rule for finding in found if finding.rule not in _NEVER_SILENCED)
         accepted = {rule: "; ".join(" ".join(f.message.split()) for f in found if f.rule == rule) for rule in rules}
         if accepted:

@@ -26,8 +26,9 @@ from wheelleg_exp.anatomy.compiled_robot import (
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.anatomy.stance import Stance, solve_stance
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
+from wheelleg_exp.asset.conversion_report import size_problem
 from wheelleg_exp.asset.robot_description import Dof
-from wheelleg_exp.errors import AssetError
+from wheelleg_exp.errors import AssetError, named_as
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
@@ -139,17 +140,20 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
     ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps regular expressions of joint
-    names to positions, which replace those of the robot file. If ``allow_missing`` is true, collider files may be
-    missing. An unreadable file, or a robot without joints, with a ball joint, or with a fixed base raises AssetError.
+    names to positions, which replace those of the robot file. If ``allow_missing`` is true, wheels and collider files
+    may be missing. An unreadable file, or a robot without joints, with a ball joint, with a fixed base, or of an
+    implausible size raises AssetError.
     """
-    with tempfile.TemporaryDirectory(prefix="wheelleg-new-") as folder:
+    with tempfile.TemporaryDirectory() as folder, named_as(Path(folder) / "model.xml", source):
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         if not conversion.description.dofs:
             raise AssetError("the robot has no joints", where=str(source), expected=_EXPECTED)
         balls = [dof.name for dof in conversion.description.dofs if dof.kind == "ball"]
         if balls:
             message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
-            raise AssetError(message, where=str(source), expected="hinges and slides")
+            raise AssetError(
+                message, where=str(source), expected="hinges and slides, or a fixed sphere as a ball caster"
+            )
         names = [dof.name for dof in conversion.description.dofs]
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
         read = {dof.name: default_position(dof) for dof in conversion.description.dofs}
@@ -168,6 +172,9 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         if not conversion.description.colliders:
             message = "no shape of the robot collides, so it would fall through the ground"
             raise AssetError(message, where=str(source), expected=_EXPECTED)
+        sizes = [item.numbers for item in conversion.report.findings if item.kind == "implausible_size"]
+        if sizes:
+            raise AssetError(size_problem(**sizes[0]), where=str(source), expected="metres and kilograms")
         standing = None
         if not pose:
             data = _at(model, scene.robot, chosen)
@@ -177,7 +184,14 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             robot = provisional_robot(conversion.description.name, standing.rotation, chosen)
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
             model = scene.spec.compile()
-        return _measured(conversion, scene.robot, model, chosen, standing)
+        found = _measured(conversion, scene.robot, model, chosen, standing)
+        if (problem := found.anatomy.cannot_stand) and not allow_missing:
+            expected = "wheels on both sides that can roll, or --allow-missing"
+            raise AssetError(problem, where=str(source), expected=expected)
+        if standing is not None and standing.lean:
+            lean = f"{math.degrees(standing.lean):+.2g}°"
+            found.notes.append(f"no leg pose brings the mass over the axle, so the base starts pitched by {lean}")
+        return found
 
 
 def _measured(
@@ -191,7 +205,7 @@ def _measured(
     anatomy = anatomy_of(limited, data.qpos, description.driven or None)
     wheels = anatomy.wheel_joints
     facts = measure(model, robot, anatomy)
-    driven, passive = _driven(description, dofs, wheels)
+    driven, passive = _driven(description, dofs, anatomy)
     limbs = {name for leg in anatomy.legs for name in (*leg.joints, *leg.beside)} if wheels else set(driven)
     legs = [name for name in driven if name in limbs]
     turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
@@ -238,18 +252,18 @@ def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> 
     return data
 
 
-def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], wheels: Sequence[str]) -> tuple[list[str], list[str]]:
+def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], anatomy: Anatomy) -> tuple[list[str], list[str]]:
     """Return the names of the driven joints except wheels, and the names of the joints without a drive.
 
     If the robot file drives no leg joint, all leg joints except mimic joints count as driven. If the robot file drives
-    no wheel, all wheels except mimic joints count as driven.
+    no wheel, all wheels except mimic joints count as driven. Without a drive, casters and their swivels are passive.
     """
-    followers = {coupling.joint for coupling in robot.couplings}
+    followers, wheels = {coupling.joint for coupling in robot.couplings}, anatomy.wheel_joints
     passive: list[str] = []
     # Handle leg joints and wheels separately, because some robot files define drives only for legs or only for wheels.
     for group in ([name for name in dofs if name not in wheels], wheels):
-        free = [name for name in group if name not in followers]
-        driven = [name for name in free if dofs[name].drive is not None]
+        free = [name for name in group if name not in followers | anatomy.casters]
+        driven = [name for name in group if name not in followers and dofs[name].drive is not None]
         passive += [name for name in group if name not in (driven or free)]
     return [name for name in dofs if name not in wheels and name not in passive], passive
 
@@ -269,7 +283,7 @@ def _notes(
         notes.append(f"{count} touch the ground in the default pose, not those of {', '.join(lifted)}")
     if anatomy.wheels and anatomy.forward is None:
         notes.append("the wheels' axles are not parallel, so the pose and the root link's frame are those of the file")
-    notes += [f"joint '{name}' would be a wheel's, but {why}" for name, why in anatomy.near.items()]
+    notes += [f"'{name}' would be a wheel, but {why}" for name, why in anatomy.near.items()]
     if not legs:
         notes.append("no joint is a leg's, so the task drives only wheels")
     if passive:
