@@ -126,7 +126,7 @@ def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, move
         contact=_vec(tree.point(axles.contacts[number])),
         side=_side(found.centre, wheels, axles.left),
         sign=0 if abs(rolling) < _ROLLS else (1 if rolling > 0 else -1),
-        driven=found.joint in moved,
+        driven=found.joint in moved and not axles.swivels[number],
         stands=axles.stands[number],
         steered=axles.steering[number] is not None,
         caster=bool(axles.swivels[number]),
