@@ -218,3 +218,22 @@ def test_thread_variables_are_set_unless_they_are_set_already(monkeypatch):
     monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
     assert prepare_threads()
     assert (os.environ["OMP_WAIT_POLICY"], os.environ.get("GOMP_SPINCOUNT")) == ("ACTIVE", None)
+
+
+@pytest.mark.parametrize(("module", "freed"), [("nanobind", "freed\n"), ("another", "")])
+def test_objects_that_nanobind_would_report_as_leaks_are_freed_at_exit(module, freed):
+    code = f"""
+import os, sys
+from wheelleg_exp.cli.main import main
+
+class Leaky(metaclass=type("nb_meta", (type,), {{"__module__": {module!r}}})):
+    def __del__(self):
+        os.write(1, b"freed\\n")
+
+one = Leaky()
+one.cycle = sys.modules["cycle"] = [one]  # Only a garbage collection frees the object.
+sys.argv = ["wheelleg", "--version"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"wheelleg {__version__}\n{freed}"
