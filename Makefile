@@ -27,7 +27,7 @@ setup: $(INSTALLED)
 $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "wheelleg_exp needs Python 3.11 or later; set PYTHON=/path/to/python3.11"; exit 1; }
-	@echo "setting up $(VENV) (a few hundred MB of packages, once)"
+	@echo "setting up $(VENV) (once; 3.1 GB with torch for CPUs, 6.6 GB with CUDA: see README.md)"
 	@$(PYTHON) -m venv $(VENV) 2>/dev/null && $(BIN)/python -m pip --version >/dev/null 2>&1 \
 		|| { rm -rf $(VENV); $(PYTHON) -m pip install --quiet --target $(VIRTUALENV) virtualenv \
 			&& PYTHONPATH=$(VIRTUALENV) $(PYTHON) -m virtualenv --quiet $(VENV); }
