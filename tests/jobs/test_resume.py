@@ -400,7 +400,7 @@ def refuse(run: Path, *words: str) -> str:
         (["agent.max_iterations=3"], "is 3, and the run has done 4 iterations"),
         (["agent.max_iterations=x"], "agent.max_iterations"),
         (["agent.max_iteration=9"], "did you mean 'agent.max_iterations'?"),
-        (["agent.max_iterations=9", "env.num_envs=8"], "env.num_envs: cannot change in a resume"),
+        (["agent.max_iterations=9", "env.num_envs=8"], "with init_from=RUN, start from this run's networks"),
         (["agent.max_iterations=9", "seed=1"], "seed: cannot change in a resume"),
         (["agent.max_iterations=9", "agent.actor.hidden_dims=[4]"], "agent.actor.hidden_dims: cannot change"),
         (["agent.max_iterations=9", "env.robot.base=fixed"], "env.robot.base: cannot change"),

@@ -115,7 +115,8 @@ def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -
 
 def _refusal(change: Change, why: str) -> ConfigError:
     message = f"cannot change in a resume: {why}"
-    return ConfigError(message, key=change.key, expected="the run's own value; a new run can have another")
+    other = "a new run can have another value and, with init_from=RUN, start from this run's networks if they fit"
+    return ConfigError(message, key=change.key, expected=f"the run's own value; {other}")
 
 
 def rewritten_files(
