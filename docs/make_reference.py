@@ -62,7 +62,8 @@ def _reference() -> str:
         "# Every stock file\n",
         NOTE,
         "What stands in each file of `configs/`, by group. `wheelleg explain KEY` says the same of one key of a",
-        "composed config, with the place of every value; [config.md](config.md) tells how the parts work together.\n",
+        "composed config, with the place of every value; [config.md](config.md) explains how the parts work together.",
+        "Keys are those of a composed task; observation files can be mounted at other groups than `policy`, too.\n",
     ]
     names = catalog.groups()
     parts.append(" · ".join(f"[{name}](#{name.replace('/', '')})" for name in names) + "\n")
@@ -83,7 +84,7 @@ def _file(entry: Entry) -> Iterator[str]:
     yield f"### {title}\n"
     yield f"{_top_comment(entry.file)} [`{relative}`](../configs/{relative})\n"
     rows = [
-        f"| `{dotted(keys)}` | `{_value(value)}` | {_cell(_meaning(entry, content, keys))} |"
+        f"| `{dotted((*_package(entry), *keys))}` | `{_value(value)}` | {_cell(_meaning(entry, content, keys))} |"
         for keys, value in leaves(content)
         if keys and keys[0] not in ("defaults", "hydra")
     ]
@@ -141,7 +142,8 @@ def _cell(text: str) -> str:
 
 
 def _terms() -> str:
-    parts = ["# The term library\n", NOTE, "Every term that a config may name, with what it takes. Those with a stock"]
+    parts = ["# The term library\n", NOTE]
+    parts.append("Every `_target_` that a config may name, with what it takes. Those with a stock")
     parts.append("file can be selected by its name; any other needs a YAML node of its own ([recipes](recipes.md)).\n")
     stock: dict[Any, list[str]] = {}  # by what is called: a term may have two names
     for entry in catalog.terms():
@@ -149,11 +151,10 @@ def _terms() -> str:
     for section, terms in groupby(library(), key=lambda term: term.section):
         parts.append(f"## {section}\n\n| term | stock file | takes | what it is | limits |\n|---|---|---|---|---|")
         for term in terms:
-            name = term.target.removeprefix("wheelleg_exp.mdp.")
             files = ", ".join(stock.get(resolve_target(term.target, "docs"), []))
             signature = f"`{_cell(term.signature)}`" if term.signature else ""
             limits = "; ".join(f"`{parameter}`: {_cell(words)}" for parameter, words in term.limits.items())
-            parts.append(f"| `{name}` | {files} | {signature} | {_cell(term.help)} | {limits} |")
+            parts.append(f"| `{term.target}` | {files} | {signature} | {_cell(term.help)} | {limits} |")
         parts.append("")
     return "\n".join(parts).rstrip() + "\n"
 

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining import catalog
+from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.paths import configs_dir
+from wheelleg_exp.terms.key_syntax import dotted
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -38,3 +41,10 @@ def test_every_key_of_every_file_has_a_meaning(made):
 def test_every_term_with_a_stock_file_is_in_the_library(made):
     for entry in catalog.terms():
         assert f"`{entry.name}`" in made["terms.md"]
+
+
+def test_a_key_is_the_one_of_a_composed_config(made):
+    composed = [dotted(keys) for keys, _ in leaves(compose(["task=stand"]).config)]
+    env = [key for key in composed if key.startswith(("env.rewards.", "env.events.", "env.sim.", "agent.algorithm."))]
+    assert len(env) > 60
+    assert [key for key in env if f"| `{key}` |" not in made["reference.md"]] == []
