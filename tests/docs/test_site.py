@@ -1,0 +1,41 @@
+"""The manual as a site: one overview of the results, a search that splits keys, and nothing from other hosts."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_overview_lists_every_page_of_results():
+    overview, *pages = (ROOT / "docs/results/README.md", *(ROOT / "docs/results").glob("*.json"))
+    linked = set(re.findall(r"\((\w+)\.md\)", overview.read_text(encoding="utf-8")))
+    assert linked == {path.stem for path in pages}
+    assert (ROOT / "mkdocs.yml").read_text(encoding="utf-8").count(" results/") == 2  # The overview, and not_in_nav.
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = pytest.importorskip("mkdocs.config")
+    from mkdocs.commands.build import build
+
+    folder = tmp_path_factory.mktemp("site")
+    build(config.load_config(str(ROOT / "mkdocs.yml"), site_dir=str(folder), strict=True))
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_is_searched_by_parts_of_keys_and_loads_nothing_from_other_hosts(site: Path):
+    index = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))
+    words = re.split(index["config"]["separator"], "agent.algorithm.entropy_coef=0.01 W&amp;B")
+    assert {"entropy", "coef", "W", "B"} <= set(words)
+    loads = re.compile(r"<(?:script|img|iframe|link)[^>]*(?:src|href)=[\"']?(?:https?:)?//|url\([\"']?(?:https?:)?//")
+    pages = [path for suffix in ("html", "css") for path in site.rglob(f"*.{suffix}")]
+    assert len(pages) > 60
+    assert [path.name for path in pages if loads.search(path.read_text(encoding="utf-8"))] == []
+    recipes = (site / "recipes.html").read_text(encoding="utf-8")
+    assert '<span class="nt">defaults</span>' in recipes  # Pygments has coloured a YAML key.
