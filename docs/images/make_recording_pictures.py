@@ -28,6 +28,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 HERE = Path(__file__).parent
 LARGEST = 300_000  # bytes of a picture
 SHOWN_S = 1.5
+MENU = 38  # pixels; the viewer's menu bar shows warnings about this machine
 
 
 def main(run: Path) -> None:
@@ -77,7 +78,7 @@ def viewer(path: Path) -> Image.Image:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "viewer.png"
         viewer_screenshot(path, target, time_s=SHOWN_S, width=1400, height=800)
-        return Image.open(io.BytesIO(target.read_bytes()))
+        return without_menu(target.read_bytes())
 
 
 def browser(path: Path) -> Image.Image:
@@ -93,9 +94,15 @@ def browser(path: Path) -> Image.Image:
         try:
             driver.get(running.url)
             time.sleep(25.0)
-            return Image.open(io.BytesIO(driver.get_screenshot_as_png()))
+            return without_menu(driver.get_screenshot_as_png())
         finally:
             driver.quit()
+
+
+def without_menu(png: bytes) -> Image.Image:
+    """Return a picture of the viewer without its menu bar."""
+    image = Image.open(io.BytesIO(png))
+    return image.crop((0, MENU, image.width, image.height))
 
 
 def save(name: str, image: Image.Image) -> None:
