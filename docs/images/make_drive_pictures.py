@@ -1,10 +1,10 @@
-"""Takes the picture and the film of docs/drive.md: a run that has learnt to walk, driven by keys in a real browser.
+"""Takes the picture and the film of docs/drive.md: `stock:walk`, driven by keys in a real browser.
 
-    wheelleg train task=walk
-    python docs/images/make_drive_pictures.py runs/walk/<id>
+    wheelleg play stock:walk
+    python docs/images/make_drive_pictures.py runs/stock/walk_<id>
 
-Needs the extra `drive`, and Chromium with its driver (Debian: chromium chromium-driver). The robot is driven in slow
-motion, so that a browser without a graphics card keeps up; the film plays in real time.
+Needs the extra `drive`, and Chromium with its driver (Debian: chromium chromium-driver). The simulation pauses for each
+frame, so that a browser without a graphics card can draw it; the film plays in real time, and shows this rate.
 """
 
 from __future__ import annotations
@@ -20,16 +20,18 @@ from typing import Any
 
 from PIL import Image
 
-from wheelleg_exp.jobs.drive.drive_controls import Finish
-from wheelleg_exp.jobs.drive.drive_page import DrivePage
+from wheelleg_exp.jobs.drive import drive_page
+from wheelleg_exp.jobs.drive.drive_controls import Controls, Finish
+from wheelleg_exp.jobs.drive.drive_page import DrivePage, state_html
+from wheelleg_exp.jobs.drive.drive_session import Status
 from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, scenes
 from wheelleg_exp.run.run_directory import RunDirectory
 
 HERE = Path(__file__).parent
 WIDTH, HEIGHT = 1100, 640
 FILM = (660, 384)  # pixels
-FRAME_S = 0.1  # of simulated time, between frames of the film
-SLOW = 0.06
+FRAME_S = 0.15  # of simulated time, between frames of the film
+SLOW = 0.2
 # Simulated seconds, and the keys that go down (+) or up (-) then.
 KEYS: list[tuple[float, str, bool]] = [
     (0.5, "KeyW", True),
@@ -43,6 +45,8 @@ KEYS: list[tuple[float, str, bool]] = [
 ]
 END_S = 10.0
 PICTURE_S = 4.0  # when the picture is taken
+AS_FILMED = """[...document.querySelectorAll('button *')].filter(e => !e.children.length && e.textContent === 'Resume')
+  .forEach(e => e.textContent = 'Pause')"""
 
 
 class Silent:
@@ -52,16 +56,23 @@ class Silent:
         return lambda *_: None
 
 
+def as_filmed(status: Status, controls: Controls, step_dt: float) -> str:
+    """Return the state that the page shows, with the rate of the film instead of that of the recording."""
+    shown = Controls(list(controls.axes.values()))
+    return state_html(status, shown, step_dt)
+
+
 def main(run: RunDirectory) -> None:
     """Write drive.png and drive.webp beside this file."""
-    with DrivePage(0, scenes(), run.checkpoints()) as page:
-        thread = threading.Thread(target=drive, args=(DriveRequest(run), Silent(), page))
+    drive_page.state_html = as_filmed
+    with DrivePage(0, scenes(), ["stock:walk", "stock:get_up"]) as page:
+        thread = threading.Thread(target=drive, args=(DriveRequest(run, overrides=["drive.frames_per_s=10"]), Silent(), page))
         thread.start()
         browser = opened(page.url)
         try:
             wait_for(browser, "return window.wheellegDrive && window.wheellegDrive.socket.readyState === 1")
             page._controls.speed = SLOW
-            film = list(frames(browser))
+            film = list(frames(browser, page._controls))
             save_film(film)
             save_picture("drive", next(image for moment, image in film if moment >= PICTURE_S))
         finally:
@@ -91,7 +102,7 @@ def wait_for(browser: Any, script: str) -> None:
         time.sleep(0.1)
 
 
-def frames(browser: Any) -> Iterator[tuple[float, Image.Image]]:
+def frames(browser: Any, controls: Controls) -> Iterator[tuple[float, Image.Image]]:
     """Reset, press the keys, and yield pictures with their simulated time from then on, s."""
     without_notes(browser)
     time.sleep(2.0)  # until the scene has faded in
@@ -103,7 +114,9 @@ def frames(browser: Any) -> Iterator[tuple[float, Image.Image]]:
             browser.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": kind, "code": code, "key": code[-1].lower()})
         if now >= due:
             due = now + FRAME_S
-            yield now, shot(browser)
+            controls.paused = True
+            yield moment(browser) - begin, shot(browser)
+            controls.paused = False
 
 
 def moment(browser: Any) -> float:
@@ -119,7 +132,15 @@ def without_notes(browser: Any) -> None:
 
 def shot(browser: Any) -> Image.Image:
     """Return what is on screen."""
-    return Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
+    from selenium.common.exceptions import TimeoutException
+
+    browser.execute_script(AS_FILMED)
+
+    while True:
+        try:
+            return Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
+        except TimeoutException:  # A busy machine draws slowly.
+            time.sleep(1.0)
 
 
 def save_film(film: list[tuple[float, Image.Image]]) -> None:

@@ -59,7 +59,7 @@ def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
         thread = threading.Thread(target=lambda: found.made.extend(drive(wish, Silent(), page)))
         thread.start()
         try:
-            chrome.size(900, 500)
+            chrome.size(760, 600)
             chrome.open(page.url)
             yield found
         finally:
@@ -80,7 +80,15 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     driving.key("ArrowRight", "ArrowRight", down=True)
     assert wait_until(lambda: driving.shown("ang_vel_z") == -0.3)
     assert driving.controls.values == {"lin_vel_x": 0.3, "ang_vel_z": -0.3}
-    assert wait_until(lambda: len(_warm(chrome)) > 200)  # The robot is coloured and the ground is grey.
+    # The robot is coloured and the ground is grey. The panel, which is 320 pixels wide, does not hide the robot.
+    assert wait_until(lambda: len(_warm(chrome)) > 5000)
+    middle = _warm(chrome).mean(axis=0)
+    assert middle == pytest.approx((300, 220), abs=90)
+    assert chrome.driver.title.startswith("wheelleg_exp")
+    box = chrome.script("return document.querySelector('#drive-keys').getBoundingClientRect().toJSON()")
+    assert box["left"] > 0
+    assert box["bottom"] < 600
+    assert box["right"] < 440
     driving.key("KeyW", "w", down=False)
     driving.key("ArrowRight", "ArrowRight", down=False)
     assert wait_until(lambda: (driving.shown("lin_vel_x"), driving.shown("ang_vel_z")) == (0.0, 0.0))
@@ -192,6 +200,6 @@ def _version() -> Any:
 
 
 def _warm(chrome: Chrome) -> Any:
-    picture = chrome.picture()[:, :500].astype(int)
-    found = picture[(picture[..., 0] - picture[..., 2] > 60) & (picture[..., 0] >= picture[..., 1])]
-    return np.atleast_2d(found)
+    """Return row and column of the pixels of the robot's body, left of the panel."""
+    picture = chrome.picture()[:, :440].astype(int)
+    return np.argwhere((picture[..., 0] - picture[..., 2] > 60) & (picture[..., 0] >= picture[..., 1]))

@@ -1,6 +1,7 @@
 """One robot that is driven: commands reach it, requests are obeyed, and nothing happens unasked."""
 
 import math
+import re
 import threading
 
 import pytest
@@ -9,7 +10,7 @@ import torch
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Jump, Push, Reset
-from wheelleg_exp.jobs.drive.drive_page import DrivePage
+from wheelleg_exp.jobs.drive.drive_page import DrivePage, keys_html
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -163,3 +164,50 @@ def test_the_key_for_getting_up_hands_over_and_back(tmp_path):
         page.open(session, Choose(), options, [tmp_path / "model_1.pt"])
         page._hands.press("get_up")
     assert session.controls.take() == []
+
+
+def test_a_reward_of_weight_0_is_not_shown(tmp_path):
+    alive = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 2.0}
+    session = cart(tmp_path, rewards={"alive": alive, "off": {**alive, "weight": 0.0}})
+    session.step()
+    assert session.status().rewards == {"alive": 2.0}
+
+
+def test_the_page_lists_the_keys_of_the_task():
+    def listed(*has):
+        return re.sub("<.*?>", " ", keys_html(has)).split()
+
+    always = ["F", "push", "R", "reset", "X", "stop", "M", "slow", "Space", "pause"]
+    assert listed() == always
+    assert listed("lin_vel_x", "jump", "get_up") == [
+        "W",
+        "S",
+        "drive",
+        "J",
+        "jump",
+        "F",
+        "push",
+        "U",
+        "get",
+        "up",
+        *always[2:],
+    ]
+
+
+def test_the_robot_fills_the_view_and_the_ground_follows_it(tmp_path):
+    pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
+    session = cart(tmp_path)
+    session.controls.set("lin_vel_x", 0.4)
+    drive(session, 3.0)
+    with DrivePage(0, ["own"], []) as page:
+        page.open(session, Choose(), {"push": 0.1, "get_up": None}, [tmp_path / "model_1.pt"])
+        page.show(session.status())
+        camera, (ground,) = page._server.initial_camera, page._grounds.values()
+    away = math.dist(camera.position, camera.look_at)
+    radius = math.hypot(0.1, 0.1) + 0.05  # of the sphere around the cart's wheels, m
+    assert 0.8 < radius / (away * math.tan(0.5 * camera.fov)) < 1.0
+    x, y = session.env.scene.robot.data.root_pos_w[0, :2].tolist()
+    assert x > 1.0
+    for robot, tiles in zip((x, y, 0.0), ground.position, strict=True):
+        assert -1e-6 <= robot - tiles < 0.2  # Two tiles of 0.1 m repeat.
+        assert tiles / 0.2 == pytest.approx(round(tiles / 0.2))

@@ -9,9 +9,11 @@ import copy
 import errno
 import io
 import json
+import math
+import re
 import socket
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack, redirect_stdout
 from html import escape
 from importlib.resources import files
@@ -19,6 +21,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import mujoco
+import numpy as np
+from PIL import Image
 
 from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
 from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Jump, Push, Reset
@@ -57,11 +61,18 @@ def _port_error(message: str, expected: str) -> WheellegError:
 
 _GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
 _BOX_STYLE = "font-size:0.82em;line-height:1.5;padding:0.2em 1em"
-KEYS_HELP = (
-    f'<div style="{_BOX_STYLE};opacity:0.75">W S or arrows: forwards, back. A D: turn. Q E: sideways. T G: height. '
-    "Space: pause. R: reset. F: push. J: jump. U: get up, and drive on. X: stop. M: slow motion. "
-    "A gamepad drives with its sticks.</div>"
+# The keys that the page lists; the axis or skill before a colon is one that not every task has.
+_KEYS_HELP = (
+    "lin_vel_x: W S drive | ang_vel_z: A D turn | lin_vel_y: Q E sideways | height: T G height | jump: J jump | "
+    "F push | get_up: U get up | R reset | X stop | M slow | Space pause"
 )
+
+
+def keys_html(has: Collection[str]) -> str:
+    """Return the keys and their actions as HTML; ``has`` contains the axes and skills of the task."""
+    rows = (row.rpartition(": ") for row in _KEYS_HELP.split(" | "))
+    shown = "".join(f"<span>{text}</span>" for needed, _, text in rows if not needed or needed in has)
+    return re.sub(r"\b([A-Z]|Space)\b", r"<kbd>\1</kbd>", shown)
 
 
 def state_html(status: Status, controls: Controls, step_dt: float) -> str:
@@ -82,7 +93,7 @@ def reward_bars_html(values: Mapping[str, float]) -> str:
     for name, value in values.items():
         width = 50.0 * abs(value) / most
         left, colour = (50.0, _GOOD) if value >= 0.0 else (50.0 - width, _BAD)
-        text = f"<div>{escape(name)}<span style='float:right'>{value:+.3f}</span></div>"
+        text = f"<div>{escape(name)}<span style='float:right'>{value:+z.3f}</span></div>"
         rows.append(text + _bar(left, width, colour))
     return f'<div id="drive-rewards" style="{_BOX_STYLE}">{"".join(rows)}</div>'
 
@@ -150,8 +161,11 @@ class InputServer:
         self._server = serve(self._listen, LOOPBACK, port, origins=allowed, max_size=_MAX_MESSAGE, compression=None)
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
-    def javascript(self) -> str:
-        """Return the JavaScript that sends key and gamepad input from the web page to the ``InputServer``."""
+    def javascript(self, title: str, help: str) -> str:
+        """Return the JavaScript that sends key and gamepad input from the web page to the ``InputServer``.
+
+        The JavaScript also sets the page's title, and shows the HTML ``help`` over the robot.
+        """
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -161,6 +175,8 @@ class InputServer:
             "sticks": {index: pair for index, pair in _STICKS.items() if pair[0] in axes},
             "buttons": _BUTTONS,
             "deadzone": _DEADZONE,
+            "title": title,
+            "help": help,
         }
         return f"const DRIVE = {json.dumps(settings)};\n{files(__package__).joinpath('keys.js').read_text('utf-8')}"
 
@@ -214,8 +230,10 @@ class InputServer:
             self.press(said["press"])
 
 
-# The camera starts at the position ``_CAMERA_FROM * _HEIGHTS_AWAY * base_height`` in the world frame.
-_CAMERA_FROM, _HEIGHTS_AWAY = (-0.75, -0.5, 0.4), 6.5
+# The camera starts at this offset from the robot, in radii of the robot, with this vertical field of view in rad.
+_CAMERA_FROM, _VIEW_ANGLE = np.array([-2.3, -1.65, 0.85]), 0.7
+_PANEL_WIDTH = 320  # pixels
+_SKY, _HORIZON, _TILES, _LINES = (118, 160, 200), (224, 233, 241), ((150, 162, 174), (136, 149, 162)), (176, 187, 197)
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
 
 
@@ -249,7 +267,7 @@ class DrivePage:
         require_free(self._port, "the page")
         require_free(keys, "the page's keys and gamepads")
         with redirect_stdout(io.StringIO()):  # Suppress the output of viser.
-            self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg", verbose=False)
+            self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg_exp", verbose=False)
         self._stack.callback(self._stop)
         if self._port not in (0, self._server.get_port()):
             raise port_in_use(self._port, "the page")
@@ -265,7 +283,7 @@ class DrivePage:
         own.on_client_connect(check)
         self._hands = InputServer(Controls([]), origins, keys)
         self._stack.enter_context(self._hands)
-        self._server.gui.configure_theme(show_share_button=False, control_width="large")
+        self._server.gui.configure_theme(show_share_button=False)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -300,11 +318,18 @@ class DrivePage:
         self._data = mujoco.MjData(session.env.scene.sim.model)
         self._server.scene.reset()
         self._server.gui.reset()
+        self._server.gui.main_panel.dock_right()  # A floating panel would cover the robot in a narrow window.
+        self._server.gui.main_panel.set_width(_PANEL_WIDTH)
         model = copy.copy(session.env.scene.sim.model)  # Copy the model, because mjviser changes the model's colours.
         self._scene = self._scene_class(self._server, model, num_envs=1)
-        away = _HEIGHTS_AWAY * max(float(self._session.env.scene.robot.default_root_pos[2]), 0.02)
-        self._server.initial_camera.position = tuple(away * part for part in _CAMERA_FROM)
-        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        mujoco.mj_kinematics(model, self._data)
+        moving = model.geom_bodyid > 0
+        offsets = self._data.geom_xpos[moving] - self._data.qpos[:3]
+        size = float((np.linalg.norm(offsets, axis=1) + model.geom_rbound[moving]).max())
+        middle = np.array([0.0, 0.0, 0.5 * (offsets[:, 2].min() + offsets[:, 2].max())])
+        camera = self._server.initial_camera
+        camera.position, camera.look_at, camera.fov = middle + size * _CAMERA_FROM, middle, _VIEW_ANGLE
+        self._show_ground(size)
         gui, controls = self._server.gui, self._controls
         self._state = gui.add_html("")
         with gui.add_folder("Commands"):
@@ -327,9 +352,9 @@ class DrivePage:
             self._choices(choice)
             finish = gui.add_button("Finish", hint="end the drive and write its figures")
             finish.on_click(lambda _: controls.request(Finish()))
-        gui.add_html(KEYS_HELP)
         # Run the JavaScript for keys and gamepads in every browser page, including pages that are opened later.
-        source = self._hands.javascript()
+        has = {*controls.axes, *(["jump"] if session.jumps else []), *(["get_up"] if self._hands.next_policy else [])}
+        source = self._hands.javascript(f"wheelleg_exp · {self._policy or 'drive'}", keys_html(has))
         from viser._messages import RunJavascriptMessage
 
         self._server.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
@@ -342,12 +367,44 @@ class DrivePage:
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
         with self._server.atomic():
             self._scene.update_from_mjdata(self._data)
+            self._move_ground()
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
                 if self._mirrored.get(name) != value:  # Move the slider of a command that keyboard or script changed.
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
+
+    def _show_ground(self, size: float) -> None:
+        """Replace mjviser's grid by tiles, and show a sky; ``size`` is the radius of the robot, m."""
+        from trimesh import Trimesh
+        from trimesh.visual import TextureVisuals, material
+
+        model, scene, count = self._scene.mj_model, self._server.scene, 60
+        self._pattern = 2.0 * 10.0 ** round(math.log10(size))  # The picture shows 2 x 2 tiles of 0.1, 1, or 10 m.
+        odd = np.kron(np.eye(2), np.ones((128, 128)))[..., None]
+        tiles = ((1.0 - odd) * _TILES[0] + odd * _TILES[1]).astype(np.uint8)
+        tiles[::128] = tiles[:, ::128] = _LINES
+        painted = material.PBRMaterial(baseColorTexture=Image.fromarray(tiles), roughnessFactor=1.0, metallicFactor=0.0)
+        corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * count
+        visual = TextureVisuals(uv=corners[:, :2], material=painted)
+        square = Trimesh(corners * self._pattern, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+        self._grounds = {}
+        for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+            name = f"/fixed_bodies/{model.body(model.geom_bodyid[geom]).name}/{name}"  # as in mjviser
+            self._grounds[geom] = scene.add_mesh_trimesh(name, square, cast_shadow=False, wxyz=model.geom_quat[geom])
+        scene.configure_environment_map(environment_intensity=0.45)  # The remaining light casts shadows.
+        scene.configure_fog(10.0 * size, 0.8 * count * self._pattern, color=_HORIZON)
+        share = np.linspace(0.0, 8.0, 64).clip(max=1.0)[:, None, None]  # The horizon is near the upper edge.
+        scene.set_background_image(((1.0 - share) * _SKY + share * _HORIZON).astype(np.uint8), format="png")
+
+    def _move_ground(self) -> None:
+        """Move the tiles with the robot, by whole patterns, so that the ground has no visible end."""
+        for geom, handle in self._grounds.items():
+            axes, place = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
+            offset = (self._data.qpos[:3] - place) @ axes
+            handle.position = place + axes[:, :2] @ (offset - offset % self._pattern)[:2]
 
     def _stop(self) -> None:
         with redirect_stdout(io.StringIO()):

@@ -220,12 +220,14 @@ class DriveSession:
 
     def status(self) -> Status:
         """Return the state of the driven robot."""
+        rewards = self.env.reward_manager
+        values = rewards.get_active_iterable_terms(0)
         return Status(
             time_s=self.time_s,
             commands=self.controls.values,
             measured=self.meter.measured,
             height_m=self.meter.height_m,
-            rewards={name: value for name, (value,) in self.env.reward_manager.get_active_iterable_terms(0)},
+            rewards={name: value for name, (value,) in values if rewards.get_term_cfg(name).weight},
             falls=self.meter.falls,
             fallen=self.fallen,
         )

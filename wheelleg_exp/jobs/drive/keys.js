@@ -48,6 +48,14 @@
     steer();
   }
 
+  document.title = DRIVE.title;
+  const help = Object.assign(document.createElement('div'), {id: 'drive-keys', innerHTML: DRIVE.help + `<style>
+    #drive-keys { position: fixed; left: 12px; top: 12px; max-width: calc(100vw - 372px); display: flex; flex-wrap: wrap;
+      gap: 4px 14px; padding: 8px 12px; border-radius: 8px; background: #fffc; font: 13px sans-serif; pointer-events: none; }
+    #drive-keys kbd { padding: 1px 5px; border: 1px solid #889; border-radius: 4px; background: #fff; font: inherit; }
+  </style>`});
+  document.body.append(help);
+
   const options = {capture: true};
   window.addEventListener('keydown', onKey, options);
   window.addEventListener('keyup', onKey, options);
@@ -56,6 +64,7 @@
   window.wheellegDrive = {
     socket,
     close() {
+      help.remove();
       clearInterval(timer);
       window.removeEventListener('keydown', onKey, options);
       window.removeEventListener('keyup', onKey, options);
