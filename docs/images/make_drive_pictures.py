@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from PIL import Image
@@ -45,8 +46,6 @@ KEYS: list[tuple[float, str, bool]] = [
 ]
 END_S = 10.0
 PICTURE_S = 4.0  # when the picture is taken
-AS_FILMED = """[...document.querySelectorAll('button *')].filter(e => !e.children.length && e.textContent === 'Resume')
-  .forEach(e => e.textContent = 'Pause')"""
 
 
 class Silent:
@@ -66,12 +65,15 @@ def main(run: RunDirectory) -> None:
     """Write drive.png and drive.webp beside this file."""
     drive_page.state_html = as_filmed
     with DrivePage(0, scenes(), ["stock:walk", "stock:get_up"]) as page:
-        thread = threading.Thread(target=drive, args=(DriveRequest(run, overrides=["drive.frames_per_s=10"]), Silent(), page))
+        thread = threading.Thread(
+            target=drive, args=(DriveRequest(run, overrides=["drive.frames_per_s=10"]), Silent(), page)
+        )
         thread.start()
         browser = opened(page.url)
         try:
             wait_for(browser, "return window.wheellegDrive && window.wheellegDrive.socket.readyState === 1")
             page._controls.speed = SLOW
+            page._pause = SimpleNamespace()  # The button does not show that the simulation pauses for each frame.
             film = list(frames(browser, page._controls))
             save_film(film)
             save_picture("drive", next(image for moment, image in film if moment >= PICTURE_S))
@@ -134,8 +136,6 @@ def shot(browser: Any) -> Image.Image:
     """Return what is on screen."""
     from selenium.common.exceptions import TimeoutException
 
-    browser.execute_script(AS_FILMED)
-
     while True:
         try:
             return Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
@@ -153,8 +153,8 @@ def save_film(film: list[tuple[float, Image.Image]]) -> None:
 
 
 def save_picture(name: str, image: Image.Image) -> None:
-    """Write a picture with the colours that are seen."""
-    image.quantize(256, dither=Image.Dither.NONE).save(HERE / f"{name}.png", optimize=True)
+    """Write a picture; fewer colours would change those of the small bars."""
+    image.save(HERE / f"{name}.png", optimize=True)
 
 
 if __name__ == "__main__":
