@@ -231,7 +231,7 @@ class InputServer:
 
 
 # The camera starts at this offset from the robot, in radii of the robot, with this vertical field of view in rad.
-_CAMERA_FROM, _VIEW_ANGLE = np.array([-2.3, -1.65, 0.85]), 0.7
+_CAMERA_FROM, _VIEW_ANGLE = np.array([-2.55, -1.85, 0.95]), 0.7
 _PANEL_WIDTH = 320  # pixels
 _SKY, _HORIZON, _TILES, _LINES = (118, 160, 200), (224, 233, 241), ((150, 162, 174), (136, 149, 162)), (176, 187, 197)
 _PUSHES = {"forwards": (1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0), "back": (-1.0, 0.0)}
