@@ -14,7 +14,7 @@ import mujoco
 
 from wheelleg_exp.asset.conversion_report import UNITS, Assumption, LeftOut, Report, size_problem
 from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_near
-from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, with_force_gains
+from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, with_model_values
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.report_writer import measure_sizes
 from wheelleg_exp.asset.rigid_geometry import Frame
@@ -80,7 +80,7 @@ def _built(robot: RobotDescription, report: Report, output: Path) -> tuple[Robot
     An attribute is refused if MuJoCo builds the model without the attribute, or gives another reason.
     """
     try:
-        driven = with_force_gains(robot)
+        driven = with_model_values(robot)
         return driven, report, write(driven, report, output)
     except AssetError as error:
         refusal = error.message
@@ -94,7 +94,7 @@ def _built(robot: RobotDescription, report: Report, output: Path) -> tuple[Robot
         for name, path, extra, key in suspects[:_TRIALS]:
             value = extra.pop(key)
             try:
-                write(with_force_gains(robot), report, output)
+                write(with_model_values(robot), report, output)
             except AssetError as other:
                 if other.message == refusal:
                     extra[key] = value

@@ -1,4 +1,4 @@
-"""Compile an MJCF, check the model against the robot description, and scale acceleration drives by joint inertia."""
+"""Compile an MJCF, check it against the robot description, and compute gains and positions from the model."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.rigid_geometry import rotation_matrix, tensor_of
 from wheelleg_exp.asset.robot_description import RobotDescription
@@ -104,13 +105,14 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[tup
     yield "number of actuators", model.nu, drives + len(robot.actuators)
 
 
-def with_force_gains(robot: RobotDescription) -> RobotDescription:
+def with_model_values(robot: RobotDescription) -> RobotDescription:
     """Return the robot with each gain ``k`` of an acceleration drive multiplied by the joint's inertia.
 
     ``I`` is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: the inertia that the drive accelerates while
-    all other joints are free to move.
+    all other joints are free to move. The saved positions and velocities of joints that follow other joints become
+    those that their drivers require.
     """
-    if not any(dof.drive and dof.drive.acceleration for dof in robot.dofs):
+    if not robot.couplings and not any(dof.drive and dof.drive.acceleration for dof in robot.dofs):
         return robot
     assets = {file_name(mesh): obj_text(mesh).encode() for mesh in robot.meshes if len(mesh.faces)}
     with refusals(robot.name):
@@ -122,13 +124,18 @@ def with_force_gains(robot: RobotDescription) -> RobotDescription:
     # The inertia that moves with joint i while all other joints are free is 1 / (inverse mass matrix)_ii.
     inverse = np.diag(np.linalg.inv(full))
     inertia = {dof.name: float(1 / inverse[model.joint(dof.name).dofadr[0]]) for dof in robot.dofs}
+    state = np.array([(dof.position, dof.velocity) for dof in robot.dofs]).T
+    couplings = JointCouplings(model, {model.joint(dof.name).id: column for column, dof in enumerate(robot.dofs)})
+    couplings.limits.clear()  # A saved state can violate joint limits.
+    couplings.follow(*state)
+    states = iter(state.T.tolist())
     bodies = []
     for body in robot.bodies:
         dofs = []
         for dof in body.dofs:
-            drive, load = dof.drive, inertia[dof.name]
+            drive, load, (position, velocity) = dof.drive, inertia[dof.name], next(states)
             if drive and drive.acceleration:
                 drive = replace(drive, stiffness=drive.stiffness * load, damping=drive.damping * load)
-            dofs.append(replace(dof, drive=drive))
+            dofs.append(replace(dof, drive=drive, position=position, velocity=velocity))
         bodies.append(replace(body, dofs=tuple(dofs)))
     return replace(robot, bodies=tuple(bodies))
