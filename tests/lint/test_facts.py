@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
-from wheelleg_exp.anatomy.compiled_robot import RobotFacts, measure
+from wheelleg_exp.anatomy.compiled_robot import RobotFacts, compiled_robot
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.lint.physics_check import task_robot
 from wheelleg_exp.managers import SceneManager
@@ -67,7 +67,7 @@ def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
     env["sim"] = {**env["sim"], "gravity": [0.0, 0.0, -10.0]}
     env["scene"] = {**env["scene"], "sensors": {}}
     scene = SceneManager(env, file, 1).scene
-    return measure(scene.spec.compile(), scene.robot)
+    return compiled_robot(scene.spec.compile(), scene.robot)[1]
 
 
 def test_masses_heights_and_wheels(facts):

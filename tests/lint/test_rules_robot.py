@@ -5,6 +5,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from asset.small_usd import cube_inside, hinge, link, write
+from project.robots import edited, knees
 
 from lint.bodies import leg, mjcf, two_legged
 from lint.cases import found, joints, term
@@ -436,3 +438,53 @@ def test_actuators_of_an_mjcf_add_up_and_the_joint_limits_them(tmp_path):
     drives = _drives_of_mjcf(mujoco.MjModel.from_xml_string(text + actuators))
     assert drives["l_hip"] == Drive("", 50.0, 2.0, 3.0, math.inf)
     assert drives["r_hip"] == Drive("", 0.0, 0.0, 20.0, math.inf)
+
+
+LEANS = "the centre of mass above the wheels"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "at"),
+    [(0.0, 2.5, 0.0), (-2.5, 0.0, 0.0), (-1.5, 2.5, 0.0), (0.02, 2.5, 0.02), (-2.5, -0.7, -0.7)],
+)
+def test_the_pose_of_a_file_is_measured_as_drawn_or_at_the_nearest_limits(tmp_path, low, high, at):
+    file = edited(knees(tmp_path), ('lower="-2.5" upper="2.5"', f'lower="{low}" upper="{high}"'))
+    case = case_of(file)
+    assert [case.robot.position(name) for name in ("l_hip", "l_knee", "r_knee")] == pytest.approx([0.0, at, at])
+    assert found("balance_pose", case) == []
+    (lean,) = [note for note in notes_on(case) if note.startswith(LEANS)]
+    assert ("+0.0°" in lean) == (at == 0.0)  # The robot stands upright as drawn.
+    moved = [note for note in notes_on(case) if "outside joint limits" in note]
+    pose = f"l_knee at {at:.4g}, not 0, r_knee at {at:.4g}, not 0"
+    assert [note.endswith(f"measured with {pose}") for note in moved] == ([True] if at else [])
+
+
+def test_a_lean_as_drawn_is_found(tmp_path):
+    ahead = '<mass value="2.0"/>', '<origin xyz="0.2 0 0"/><mass value="2.0"/>'
+    (finding,) = found("balance_pose", case_of(edited(knees(tmp_path), ahead)))
+    assert finding.figures["lean_rad"] > 0.17
+
+
+@pytest.mark.parametrize(("state", "at"), [("", 0.0), ("float state:angular:physics:position = 20", 20.0)])
+def test_a_saved_state_is_the_pose_of_a_file_and_a_drives_target_is_not(tmp_path, state, at):
+    drive = "float drive:angular:physics:targetPosition = 40\n float drive:angular:physics:stiffness = 5"
+    apis = "PhysicsDriveAPI:angular PhysicsJointStateAPI:angular"
+    body = (
+        link("a")
+        + link("b", inside=cube_inside("convexHull"))
+        + hinge("j", "a", "b", apis=apis, text=f"{drive}\n{state}")
+    )
+    assert math.degrees(case_of(write(tmp_path, body)).robot.position("j")) == pytest.approx(at, abs=1e-4)
+
+
+def test_a_follower_in_a_file_follows_and_has_no_motor_of_its_own(tmp_path):
+    mimic = '<mimic joint="l_hip" multiplier="-1.5" offset="-0.5"/></joint>'
+    path = knees(tmp_path)
+    knee = path.read_text().split('<joint name="l_knee"')[1].split("</joint>")[0]
+    case = case_of(edited(path, (knee + "</joint>", knee + mimic)))
+    assert (case.robot.position("l_knee"), case.robot.moved) == (pytest.approx(-0.5), {})
+    assert (case.facts.joints["l_knee"].drive, case.facts.joints["r_knee"].drive.effort) == (None, 8.0)
+    # The knee is below its upper limit of -0.8 only while the hip is above 0.2.
+    case = case_of(edited(path, ('lower="-2.5" upper="2.5"', 'lower="-2.5" upper="-0.8"')))
+    assert (case.robot.position("l_hip"), case.robot.position("l_knee")) == pytest.approx((0.2, -0.8), abs=1e-3)
+    assert set(case.robot.moved) == {"l_hip", "r_knee"}

@@ -6,25 +6,25 @@ import copy
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from wheelleg_exp.anatomy.anatomy_parts import Anatomy
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.asset.conversion_report import Report
-from wheelleg_exp.asset.robot_description import Dof
+from wheelleg_exp.asset.mjcf.joint_couplings import RANK, JointCouplings, constraint_rows
 from wheelleg_exp.sim.actuators import IdealPDActuator
 from wheelleg_exp.sim.robot import Robot
 
 LOST_MESH = re.compile(r"collider was left out: mesh '([^']*)': (.*)")
 _MOST_FILES = 4  # files in one message
-_INSIDE = 0.25  # A default joint position beyond a limit moves to 25 % of the joint's range inside the limit.
-_OFF = 0.02  # A default joint position stays at least 2 % of the joint's range away from both limits.
+_EXACT = 1e-9
+_WEAK, _NO_DRIVE = 1e-3, 1e-9  # the stiffness of drives without stiffness, and of joints without a drive, N·m/rad
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,9 @@ class Drive:
     effort: float
     velocity: float
     explicit: bool = False
+
+
+Drives = Mapping[str, Drive | None]
 
 
 @dataclass(frozen=True)
@@ -113,10 +116,9 @@ class RobotFacts:
         return min(speeds) * self.wheel_radius if speeds else 0.0
 
 
-def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None) -> RobotFacts:
-    """Measure a compiled robot at its default pose."""
+def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy, drives: Drives | None = None) -> RobotFacts:
+    """Measure a compiled robot at its default pose; ``drives`` replaces the drives of a config without actuators."""
     data = at_default(model, robot)
-    anatomy = anatomy or anatomy_of(model, data.qpos)
     gravity = float(np.linalg.norm(model.opt.gravity))
     bodies = [model.body(name).id for name in robot.body_names]
     wheels, radius = anatomy.wheel_joints, max((wheel.radius for wheel in anatomy.wheels), default=0.0)
@@ -127,7 +129,7 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
     return RobotFacts(
         mass=float(model.body_mass[bodies].sum()),
         gravity=gravity,
-        joints=_joints(model, data, robot, _turned(model, anatomy), gravity),
+        joints=_joints(model, data, robot, _turned(model, anatomy), drives or _drives(robot)),
         wheels=tuple(wheels),
         wheel_radius=radius,
         track=anatomy.support_width,
@@ -139,13 +141,16 @@ def measure(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy | None = None)
 
 
 def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
-    """Return MuJoCo's data of a robot at the start of an episode, with all derived quantities computed."""
+    """Return MuJoCo's data of a robot at the start of an episode, moved inside its joint limits and couplings."""
     data = mujoco.MjData(model)
     if robot.floating:
         data.qpos[0:3] = robot.default_root_pos.numpy()
         data.qpos[3:7] = robot.default_root_quat.numpy()
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = value
+        joint = model.joint(name)
+        inside = min(max(value, joint.range[0]), joint.range[1]) if model.jnt_limited[joint.id] else value
+        data.qpos[joint.qposadr[0]] = inside
+    JointCouplings(model).follow(data.qpos)
     mujoco.mj_forward(model, data)
     return data
 
@@ -154,23 +159,8 @@ def _turned(model: mujoco.MjModel, anatomy: Anatomy) -> list[list[int]]:
     return [[model.body(name).id for name in wheel.bodies] for wheel in anatomy.standing]
 
 
-def _joints(
-    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, wheels: Sequence[Sequence[int]], gravity: float
-) -> dict[str, Joint]:
-    matrix = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, matrix)
-    inverse = np.linalg.inv(matrix)
-    # ``hold`` (nv,): the joint torques that keep the robot in its default pose, with equal weight on all wheels
-    hold = data.qfrc_bias.copy()
-    share = float(model.body_mass.sum()) * gravity / max(1, len(wheels))
-    # The z row of the Jacobian of a wheel's lowest point converts the ground's vertical force to joint torques.
-    for bodies in wheels:
-        point = data.xpos[bodies[0]].copy()
-        point[2] = lowest_point(model, data, bodies)
-        jacobian = np.zeros((3, model.nv))
-        mujoco.mj_jac(model, data, jacobian, None, point, bodies[0])
-        hold -= jacobian[2] * share
-    drives = {}
+def _drives(robot: Robot) -> dict[str, Drive | None]:
+    drives: dict[str, Drive | None] = {}
     for group, actuator in robot.actuators.items():
         gains = (actuator.stiffness, actuator.damping, actuator.effort_limit, actuator.velocity_limit)
         explicit = isinstance(actuator, IdealPDActuator)
@@ -178,16 +168,58 @@ def _joints(
             # Round gains and limits to seven digits, because they are float32 numbers.
             kp, kd, effort, velocity = (float(f"{float(values[index]):.7g}") for values in gains)
             drives[name] = Drive(group, kp, kd, effort, velocity, explicit)
+    return drives
+
+
+def _joints(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, wheels: Sequence[Sequence[int]], drives: Drives
+) -> dict[str, Joint]:
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    constraints, inverse = constraint_rows(model, data), np.linalg.inv(matrix)
+    mobility, followers = _mobility(matrix, constraints), JointCouplings(model).followers
+    stiffness = {model.joint(name).id: drive.stiffness for name, drive in drives.items() if drive is not None}
+    # Without any drives, all joints except followers count as driven.
+    driven = set(stiffness) or {model.joint(name).id for name in robot.joint_names} - followers
+    # ``hold`` (nv,): the joint torques that keep the robot in its default pose, with equal weight on all wheels
+    hold = data.qfrc_bias - data.qfrc_passive
+    share = float(model.body_mass.sum() * np.linalg.norm(model.opt.gravity)) / max(1, len(wheels))
+    # The z row of the Jacobian of a wheel's lowest point converts the ground's vertical force to joint torques.
+    for bodies in wheels:
+        point = data.xpos[bodies[0]].copy()
+        point[2] = lowest_point(model, data, bodies)
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, point, bodies[0])
+        hold -= jacobian[2] * share
+    # The forces of couplings and closed loops carry the load of joints without a drive to the drives. Several drives
+    # share a load in proportion to their stiffness, as springs do; a drive without stiffness counts as a weak spring.
+    stiff = np.array([max(_WEAK, stiffness.get(j, 0.0)) if j in driven else _NO_DRIVE for j in model.dof_jntid])
+    root = np.sqrt(stiff)
+    hold -= constraints.T @ np.linalg.lstsq(constraints.T / root[:, None], hold / root, rcond=_EXACT)[0]
+    passive = [dof for dof, j in enumerate(model.dof_jntid.tolist()) if j not in driven or j in followers]
+    coupled = [dof for dof in passive if np.abs(constraints[:, dof]).max(initial=0.0) > RANK]
+    # Constraints can lock a joint; its inertias are those without constraints.
+    free = np.where(mobility > _EXACT * inverse, mobility, inverse).diagonal()
     joints = {}
     for index, name in enumerate(robot.joint_names):
         joint, dof = model.joint(name), int(model.joint(name).dofadr[0])
         low, high = model.jnt_range[joint.id].tolist() if model.jnt_limited[joint.id] else (-math.inf, math.inf)
-        armature = float(model.dof_armature[dof])
-        default, speed = float(robot.layout.default_joint_pos[index]), float(robot.layout.default_joint_vel[index])
-        load, effective = float(matrix[dof, dof]) - armature, 1.0 / float(inverse[dof, dof])
+        armature, alone = float(model.dof_armature[dof]), float(matrix[dof, dof])
+        default, speed = float(data.qpos[joint.qposadr[0]]), float(robot.layout.default_joint_vel[index])
+        # The joint moves coupled joints without a drive, while all other joints stand still.
+        moved = [dof, *(other for other in coupled if other != dof)]
+        together = float(_mobility(matrix[np.ix_(moved, moved)], constraints[:, moved])[0, 0])
+        load, effective = (1.0 / together if together * alone > _EXACT else alone) - armature, 1.0 / float(free[dof])
         drive = drives.get(name)
         joints[name] = Joint(default, speed, low, high, armature, load, effective, float(hold[dof]), drive)
     return joints
+
+
+def _mobility(matrix: Array, constraints: Array) -> Array:
+    """Return the accelerations per force (n, n) of a mass matrix (n, n), with constraints of the velocities (r, n)."""
+    _, sizes, rows = np.linalg.svd(constraints)
+    free = rows[np.count_nonzero(sizes > RANK) :].T
+    return free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
 
 
 def _balance(
@@ -230,6 +262,7 @@ class CompiledRobot:
 
     ``drawn`` describes the robot's wheels and legs in the robot file's pose, and ``anatomy`` at the start of an
     episode. ``report`` is the report of the conversion from USD or URDF; None if the robot file is an MJCF file.
+    ``moved`` maps the joints that the file's pose puts outside their limits to their positions in that pose, rad (m).
     """
 
     model: mujoco.MjModel
@@ -238,6 +271,7 @@ class CompiledRobot:
     drawn: Anatomy
     anatomy: Anatomy
     report: Report | None
+    moved: Mapping[str, float] = field(default_factory=dict)
 
     def position(self, joint: str) -> float:
         """Return a joint's position at the start of episodes, rad (m)."""
@@ -283,19 +317,6 @@ def compiled_robot(
 def name_expression(name: str) -> str:
     """Return a regular expression that matches only the text ``name``."""
     return name if re.fullmatch(r"[\w /:-]*", name) else re.escape(name)
-
-
-def default_position(dof: Dof) -> float:
-    """Return a position inside the limits: the saved position, else the drive's target, else the drawn position."""
-    target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
-    value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
-    if dof.range is None:
-        return value
-    low, high = dof.range
-    margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
-    inside = min(max(value, low + margin), high - margin)
-    rounded = float(f"{inside:.4g}")
-    return rounded if low <= rounded <= high else inside
 
 
 def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.file_limits import require_plain_file
+from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env
@@ -55,14 +56,15 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
     return dict(zip(env.reward_manager.active_terms, (total / steps).tolist(), strict=True))
 
 
-Drives = Mapping[str, robots.Drive | None]
+Drives = robots.Drives
 _MJCF = (".xml", ".mjcf")
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
+_MOVED = 1e-6  # rad or m
 _TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
 def case_of_file(source: Path) -> Case:
-    """Return the case of a robot file (USD, URDF, MJCF): the robot in its default pose with its own drives."""
+    """Return the case of a robot file (USD, URDF, MJCF): the robot in the file's pose with its own drives."""
     stock = compose(["task=stand"]).config["env"]
     env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
     with tempfile.TemporaryDirectory() as folder, named_as(Path(folder) / "model.xml", source):
@@ -72,9 +74,10 @@ def case_of_file(source: Path) -> Case:
             return _file_case(source, env, _robot_of_mjcf(source, model), drives)
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         described = conversion.description
-        positions = {dof.name: robots.default_position(dof) for dof in described.dofs if dof.kind != "ball"}
+        positions = {dof.name: dof.position for dof in described.dofs if dof.kind != "ball"}
         robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
-        drives = {dof.name: _drive(dof) for dof in described.dofs}
+        followers = {coupling.joint for coupling in described.couplings}
+        drives = {d.name: None if d.drive is None and d.name in followers else _drive(d) for d in described.dofs}
         return _file_case(source, env, robot, drives, conversion)
 
 
@@ -87,20 +90,23 @@ def _file_case(
     if not scene.robot.joint_names:
         expected = "a robot with joints to drive"
         raise AssetError("the robot has no joints", where=str(source), expected=expected)
-    model = scene.spec.compile()
+    model, layout = scene.spec.compile(), scene.robot.layout
     bodies = [model.body(name).id for name in scene.robot.body_names]
     lowest = lowest_point(model, robots.at_default(model, scene.robot), bodies)
     # Set the robot's lowest point on the ground, because a robot file contains no start height.
     if math.isfinite(lowest) and scene.robot.floating:
-        scene.robot.layout.default_root_pos[2] -= lowest
+        layout.default_root_pos[2] -= lowest
     driven = conversion.description.driven if conversion else list(drives)
-    found, facts = robots.compiled_robot(model, scene.robot, conversion.report if conversion else None, driven)
-    wheels = set(facts.wheels)
+    found, _ = robots.compiled_robot(model, scene.robot, conversion.report if conversion else None, driven)
+    facts = robots.measure(model, scene.robot, found.anatomy, drives)
     joints = {}
     for name, joint in facts.joints.items():
-        drive, group = drives.get(name), "wheels" if name in wheels else "legs"
-        joints[name] = replace(joint, drive=None if drive is None else replace(drive, group=group))
-    return Case(config, replace(facts, joints=joints), found)
+        group = "wheels" if name in facts.wheels else "legs"
+        joints[name] = replace(joint, drive=None if joint.drive is None else replace(joint.drive, group=group))
+    drawn = dict(zip(layout.joint_names, layout.default_joint_pos.tolist(), strict=True))
+    free = [name for name in drawn if model.joint(name).id not in JointCouplings(model).followers]
+    moved = {name: drawn[name] for name in free if abs(found.position(name) - drawn[name]) > _MOVED}
+    return Case(config, replace(facts, joints=joints), replace(found, moved=moved))
 
 
 def _drive(dof: Dof) -> robots.Drive | None:
@@ -136,8 +142,7 @@ def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
         if not name:
             message = "a joint of the robot has no name"
             raise AssetError(message, where=str(source), expected="a name for every joint and body")
-        low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-math.inf, math.inf)
-        positions[name] = float(min(max(qpos[model.jnt_qposadr[joint]], low), high))
+        positions[name] = float(qpos[model.jnt_qposadr[joint]])
     start = int(model.jnt_qposadr[free[0]]) + 3 if len(free) else None
     rotation = qpos[start : start + 4].tolist() if start is not None else [1.0, 0.0, 0.0, 0.0]
     return robots.provisional_robot(source.stem, rotation, positions)
@@ -255,6 +260,9 @@ def notes_on(case: Case) -> list[str]:
         return []
     anatomy = robot.anatomy
     notes = [_wheels_note(robot)]
+    if robot.moved:
+        pose = ", ".join(f"{name} at {robot.position(name):.4g}, not {at:.4g}" for name, at in robot.moved.items())
+        notes.append(f"the file's pose is outside joint limits, so the robot is measured with {pose}")
     notes += [f"{w.joint}: a wheel, {w.side}, because it {w.why}" for w in anatomy.wheels]
     loops = sum(len(leg.loops) for leg in anatomy.legs)
     if loops:

@@ -144,15 +144,10 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
     At rest, a leg joint carries the weight on the leg's wheel, minus the weight of the links below the joint. The
     effort limit of a leg drive should be 1.5 times the torque that holds the default pose. The drive's stiffness must
     hold the joint within 0.1 rad of its target at an action of 0: the error is gravity's torque over kp, minus the
-    action's offset. The joints of closed loops are not checked, because several joints of a loop share the load.
-    Source: statics, tau = -J^T F.
+    action's offset. Couplings and closed loops transfer the loads of joints without a drive to the drives. Source:
+    statics, tau = -J^T F.
     """
-    legs = case.robot.anatomy.legs if case.robot is not None else ()
-    looped = {name for leg in legs if leg.loops for name in (*leg.joints, *leg.beside)}
     for group, joints in _groups(case).items():
-        joints = {name: joint for name, joint in joints.items() if name not in looped}
-        if not joints:
-            continue
         largest = max(abs(joint.hold) for joint in joints.values())
         name, joint, drive, _ = _worst(joints, lambda j, d: abs(j.hold) / d.effort if d.effort else 0.0)
         if 0.0 < drive.effort < _RESERVE * abs(joint.hold):

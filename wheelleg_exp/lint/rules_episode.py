@@ -12,6 +12,7 @@ import numpy as np
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
+from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
 from wheelleg_exp.lint.reward_tolerances import HEIGHTS
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below, largest, rule
 from wheelleg_exp.lint.rules_drives import wheel_friction
@@ -380,6 +381,7 @@ def _lowest(robot: CompiledRobot, roll: float, pitch: float, joints: Mapping[str
         joint = model.joint(name)
         low, high = model.jnt_range[joint.id] if model.jnt_limited[joint.id] else (-np.inf, np.inf)
         data.qpos[joint.qposadr[0]] = min(max(value, low), high)
+    JointCouplings(model).follow(data.qpos)
     turn, quat = np.zeros(4), np.zeros(4)
     mujoco.mju_euler2Quat(turn, np.array([roll, pitch, 0.0]), "XYZ")  # MuJoCo rotates about fixed axes for "XYZ".
     start = int(model.jnt_qposadr[model.body(robot.anatomy.base).jntadr[0]]) + 3

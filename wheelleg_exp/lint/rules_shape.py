@@ -126,10 +126,10 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
     of mass of the parts above the axle is vertically above the axle. If the robot can balance with other leg
     joint positions, the finding's hint lists these positions. On several axles, the robot's centre of mass must be
-    between the outermost wheel contacts. A robot on one narrow wheel falls sideways. Source: statics of the inverted
-    pendulum.
+    between the outermost wheel contacts. A robot on one narrow wheel falls sideways. The rule skips a robot file whose
+    pose violates joint limits. Source: statics of the inverted pendulum.
     """
-    if robot.anatomy.forward is None:
+    if robot.anatomy.forward is None or robot.moved:
         return
     if robot.anatomy.cannot_stand and not robot.anatomy.near:
         yield Finding(_ASSET, robot.anatomy.cannot_stand, "wheels on both sides: check that no leg is missing")

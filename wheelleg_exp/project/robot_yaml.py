@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from wheelleg_exp.anatomy.compiled_robot import name_expression
 from wheelleg_exp.asset.robot_description import Dof
+from wheelleg_exp.lint.rule import at_least
 from wheelleg_exp.project.survey import Survey
 
 WIDTH = 110
@@ -163,7 +164,7 @@ def _filled(
 ) -> tuple[dict[str, float], bool]:
     """Return the value of one gain or limit for each joint, and whether the robot file gives all of these values."""
     found = {name: from_file(name) for name in joints}
-    values = {name: value if value is not None else float(f"{default(name):.2g}") for name, value in found.items()}
+    values = {name: value if value is not None else at_least(default(name)) for name, value in found.items()}
     for pair in robot.anatomy.mirrored:
         if pair.left in values and pair.right in values and found[pair.left] is None and found[pair.right] is None:
             values[pair.left] = values[pair.right] = max(values[pair.left], values[pair.right])

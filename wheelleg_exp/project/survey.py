@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from wheelleg_exp.anatomy.anatomy_parts import Anatomy
 from wheelleg_exp.anatomy.collider_shapes import lowest_point, overlap_depths
 from wheelleg_exp.anatomy.compiled_robot import (
+    Drive,
     RobotFacts,
-    default_position,
+    at_default,
     measure,
     missing_colliders,
     provisional_robot,
@@ -33,6 +34,8 @@ from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
+_INSIDE = 0.25  # A default joint position beyond a limit moves to 25 % of the joint's range inside the limit.
+_OFF = 0.02  # A default joint position stays at least 2 % of the joint's range away from both limits.
 Quaternion = tuple[float, float, float, float]
 Array = NDArray[np.float64]
 
@@ -156,7 +159,7 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             )
         names = [dof.name for dof in conversion.description.dofs]
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
-        read = {dof.name: default_position(dof) for dof in conversion.description.dofs}
+        read = {dof.name: _default_position(dof) for dof in conversion.description.dofs}
         chosen = read | {name: value for name, value in zip(names, given, strict=True) if value is not None}
         rotation = next(conversion.description.children(None)).pose.rotation
         robot = provisional_robot(conversion.description.name, rotation, chosen)
@@ -177,14 +180,14 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             raise AssetError(size_problem(**sizes[0]), where=str(source), expected="metres and kilograms")
         standing = None
         if not pose:
-            data = _at(model, scene.robot, chosen)
+            data = at_default(model, scene.robot)
             limited, driven = with_written_limits(model, conversion.report), conversion.description.driven or None
             standing = stand(limited, anatomy_of(limited, data.qpos, driven), data.qpos)
             chosen |= standing.positions
             robot = provisional_robot(conversion.description.name, standing.rotation, chosen)
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
             model = scene.spec.compile()
-        found = _measured(conversion, scene.robot, model, chosen, standing)
+        found = _measured(conversion, scene.robot, model, standing)
         if (problem := found.anatomy.cannot_stand) and not allow_missing:
             expected = "wheels on both sides that can roll, or --allow-missing"
             raise AssetError(problem, where=str(source), expected=expected)
@@ -194,18 +197,30 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         return found
 
 
-def _measured(
-    conversion: Conversion, robot: Robot, model: mujoco.MjModel, pose: Mapping[str, float], standing: Standing | None
-) -> Survey:
+def _default_position(dof: Dof) -> float:
+    """Return a position inside the limits: the saved position, else the drive's target, else the drawn position."""
+    target = dof.drive.target_position if dof.drive is not None and dof.drive.stiffness > 0 else 0.0
+    value = next((v for v in (dof.position, target, dof.ref) if v), 0.0)
+    if dof.range is None:
+        return value
+    low, high = dof.range
+    margin = (_OFF if low <= value <= high else _INSIDE) * (high - low)
+    inside = min(max(value, low + margin), high - margin)
+    rounded = float(f"{inside:.4g}")
+    return rounded if low <= rounded <= high else inside
+
+
+def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, standing: Standing | None) -> Survey:
     description = conversion.description
     by_name = {dof.name: dof for dof in description.dofs}
     dofs = {name: by_name[name] for name in robot.joint_names}
-    data = _at(model, robot, pose)
+    data = at_default(model, robot)
     limited = with_written_limits(model, conversion.report)
     anatomy = anatomy_of(limited, data.qpos, description.driven or None)
     wheels = anatomy.wheel_joints
-    facts = measure(model, robot, anatomy)
     driven, passive = _driven(description, dofs, anatomy)
+    motor = Drive("", 1.0, 0.0, math.inf, math.inf)
+    facts = measure(model, robot, anatomy, dict.fromkeys((*driven, *(w for w in wheels if w not in passive)), motor))
     limbs = {name for leg in anatomy.legs for name in (*leg.joints, *leg.beside)} if wheels else set(driven)
     legs = [name for name in driven if name in limbs]
     turned = [name for wheel in anatomy.wheels for name in wheel.bodies]
@@ -225,7 +240,7 @@ def _measured(
         held=[name for name in driven if name not in limbs],
         wheels=[name for name in dofs if name in wheels and name not in passive],
         passive=passive,
-        positions={name: pose[name] for name in dofs},
+        positions={name: float(data.joint(name).qpos[0]) for name in dofs},
         rotation=(w, x, y, z),
         standing=standing,
         overlaps={(model.body(a).name, model.body(b).name): depth for (a, b), depth in depths},
@@ -242,23 +257,14 @@ def _measured(
     )
 
 
-def _at(model: mujoco.MjModel, robot: Robot, positions: Mapping[str, float]) -> mujoco.MjData:
-    """Return the simulation data of the robot in its default pose, with its root at the origin."""
-    data = mujoco.MjData(model)
-    data.qpos[3:7] = robot.default_root_quat.numpy()
-    for name in robot.joint_names:
-        data.qpos[model.joint(name).qposadr[0]] = positions[name]
-    mujoco.mj_forward(model, data)
-    return data
-
-
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], anatomy: Anatomy) -> tuple[list[str], list[str]]:
     """Return the names of the driven joints except wheels, and the names of the joints without a drive.
 
     If the robot file drives no leg joint, all leg joints except mimic joints count as driven. If the robot file drives
     no wheel, all wheels except mimic joints count as driven. Without a drive, casters and their swivels are passive.
     """
-    followers, wheels = {coupling.joint for coupling in robot.couplings}, anatomy.wheel_joints
+    followers = {c.joint for c in robot.couplings if dofs[c.joint].drive is None or dofs[c.reference].drive is not None}
+    wheels = anatomy.wheel_joints
     passive: list[str] = []
     # Handle leg joints and wheels separately, because some robot files define drives only for legs or only for wheels.
     for group in ([name for name in dofs if name not in wheels], wheels):
