@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from sim.small_envs import run
+from lint.test_coupled_loads import AHEAD, HIP, bent, robot
+from sim.small_envs import ACTUATORS, env_config, env_of, init_state, run, variant
 
 from mdp.nodes import bodies, event, joints
 from mdp.test_curriculums import TILES
@@ -384,6 +385,77 @@ def test_joints_by_offset(start_env):
 def test_configured_joints_are_reset_within_their_limits(start_env, position, velocity, fields, reached, speeds):
     data = _joint_reset(start_env, "offset", position, velocity, **fields)
     assert (data.joint_pos[0].tolist(), data.joint_vel[0].tolist()) == (reached, speeds)
+
+
+COUPLED = """</worldbody><equality>
+  <joint joint1="left_axle" joint2="right_hip" polycoef="0.1 2 0 -1 0.5"/>
+  <joint joint1="right_hip" joint2="left_hip" polycoef="0.3 -1.5 0.2 0 0"/></equality>"""
+
+
+def coupled_env(folder, default=0.2, **ranges):
+    node = event("reset_joints_by_offset", mode="reset", **ranges)
+    robot = {"init_state": init_state(0.3, {"left_hip": 0.2, "right_hip": default, ".*_axle": 0.0})}
+    file = variant(folder, "</worldbody>", COUPLED)
+    return env_of(file, env_config(robot=robot, events={"joints": node}, num_envs=64))
+
+
+@pytest.mark.parametrize("names", [{}, {"asset_cfg": joints("left_hip")}])
+def test_random_resets_draw_the_driver_and_set_the_joints_that_follow_it(tmp_path, names):
+    env = coupled_env(tmp_path, 0.0, position_range=[-0.6, 3.0], velocity_range=[-1.0, 1.0], **names)
+    env.reset()
+    model, data = env.scene.model, env.scene.robot.data
+    left, right = (data.joint_names.index(name) for name in ("left_hip", "right_hip"))
+    drawn = data.joint_pos[:, left]
+    assert len(drawn.unique()) > 20
+    # The right hip stays above its lower limit -1: 0.3 - 1.5 q + 0.2 q² > -1.
+    assert drawn.max() == pytest.approx((1.5 - math.sqrt(1.5**2 - 4 * 0.2 * 1.3)) / 0.4, abs=1e-3)
+    assert data.joint_pos[:, right].min() >= -1.0 - 1e-6
+    for qpos, qvel in zip(env.scene.sim.view("qpos"), env.scene.sim.view("qvel"), strict=True):
+        found = mujoco.MjData(model)
+        found.qpos, found.qvel = qpos.numpy(), qvel.numpy()
+        mujoco.mj_forward(model, found)
+        couplings = found.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        assert couplings.sum() == 2
+        assert found.efc_pos[couplings] == pytest.approx(0.0, abs=1e-5)
+        assert found.efc_vel[couplings] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_random_resets_of_closed_loops_move_the_motors_and_close_the_loops(tmp_path):
+    (tmp_path / "loop.xml").write_text(robot("loop", {}))
+    pose = dict(
+        zip(("f_hip", "f_knee", "b_hip", "b_knee"), (*bent(AHEAD - HIP, 1), *bent(AHEAD + HIP, -1)), strict=True)
+    )
+    motors = {"_target_": ACTUATORS + "ImplicitActuator", "joint_names_expr": [".*_hip"], "stiffness": 50.0,
+              "damping": 1.0, "effort_limit": 20.0, "velocity_limit": 20.0}  # fmt: skip
+    init = init_state(0.4, {f"._{name}": position for name, position in pose.items()})
+    node = event("reset_joints_by_offset", mode="reset", position_range=[-0.1, 0.1], velocity_range=[-1.0, 1.0])
+    changes = {"asset": "loop.xml", "init_state": init, "actuators": {"hips": motors}}
+    config = env_config(robot=changes, actions={}, events={"joints": node}, num_envs=64)
+    env = env_of(tmp_path / "loop.xml", config)
+    env.reset()
+    data = env.scene.robot.data
+    hips = [index for index, name in enumerate(data.joint_names) if name.endswith("hip")]
+    moved = (data.joint_pos - data.default_joint_pos)[:, hips]
+    assert 0.09 < moved.abs().max() < 0.1001
+    for qpos, qvel in zip(env.scene.sim.view("qpos"), env.scene.sim.view("qvel"), strict=True):
+        found = mujoco.MjData(env.scene.model)
+        found.qpos, found.qvel = qpos.numpy(), qvel.numpy()
+        mujoco.mj_forward(env.scene.model, found)
+        loops = found.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        # Drawn alone, the joints open the loops by up to 60 mm, and the points separate with up to 0.7 m/s.
+        assert np.abs(found.efc_pos[loops]).max() < 0.5e-3
+        assert np.abs(found.efc_vel[loops]).max() < 0.04
+
+
+def test_default_positions_satisfy_the_couplings(tmp_path):
+    still = {"position_range": [0.0, 0.0], "velocity_range": [0.0, 0.0]}
+    data = coupled_env(tmp_path, 0.005, **still).scene.robot.data
+    right = 0.3 - 1.5 * 0.2 + 0.2 * 0.2**2
+    by_name = dict(zip(data.joint_names, data.default_joint_pos[0].tolist(), strict=True))
+    assert by_name["right_hip"] == pytest.approx(right)
+    assert by_name["left_axle"] == pytest.approx(0.1 + 2 * right - right**3 + 0.5 * right**4)
+    with pytest.raises(ConfigError, match=r"0\.2 of joint 'right_hip' breaks a coupling.*0\.008"):
+        coupled_env(tmp_path, **still)
 
 
 def test_joints_are_clamped_to_their_soft_limits(start_env):

@@ -11,11 +11,14 @@ import mujoco
 import numpy as np
 import torch
 
+from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings, constraint_rows
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.names import order_errors, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.terrain import GROUND_GROUP, is_ground
 from wheelleg_exp.state import Kept
+
+_ROUNDING = 0.01  # rad or m
 
 
 class RobotLayout(Kept):
@@ -55,8 +58,26 @@ class RobotLayout(Kept):
         self.body_ids = self._ids(int(model.body(b).id) for b in self.body_names)
         self.actuated_ids = self._ids(())
         self.all_limited = all(model.jnt_limited[model.joint(j).id] for j in self.joint_names)
+        self.couplings = JointCouplings(model, {joint: column for column, joint in enumerate(self.joint_ids.tolist())})
+        given, state = self._default_positions, np.array([self._default_positions, self.default_joint_vel.tolist()])
+        self.couplings.follow(*state)
+        self._default_positions = state[0].tolist()
+        self.default_joint_pos, self.default_joint_vel = map(self._numbers, state.tolist())
+        # ``admissible`` (J, J) projects small motions on those of closed loops, and moves joints with motors the least.
+        data = mujoco.MjData(model)
+        data.qpos[self.qpos_ids.tolist()] = self._default_positions
+        data.eq_active[model.eq_type == mujoco.mjtEq.mjEQ_JOINT] = 0
+        mujoco.mj_forward(model, data)
+        loops = constraint_rows(model, data)[:, self.dof_ids.tolist()]
+        pull = loops * np.where(np.isin(self.joint_ids.tolist(), model.actuator_trnid[:, 0]), 1e-6, 1.0)
+        opened = pull.T @ np.linalg.pinv(loops @ pull.T, rcond=1e-9) @ loops
+        self.admissible = self._numbers((np.eye(len(opened)) - opened).tolist())
+        self.coupled = bool(self.couplings.rows or len(loops))
         ranges = []
-        for name, value in zip(self.joint_names, self._default_positions, strict=True):
+        for name, value, written in zip(self.joint_names, self._default_positions, given, strict=True):
+            if written and abs(written - value) > _ROUNDING:
+                message = f"the default position {written:g} of joint '{name}' breaks a coupling of joints in the robot"
+                raise ConfigError(message, key="env.robot.init_state.joint_pos", expected=f"{value:.6g}, or no value")
             index = model.joint(name).id
             low, high = model.jnt_range[index].tolist() if model.jnt_limited[index] else (-torch.inf, torch.inf)
             if not low <= value <= high:

@@ -198,7 +198,7 @@ def reset_joints_by_scale(
 ) -> None:
     """Set joint positions and velocities to their defaults times uniform factors, clipped to the soft limits.
 
-    Default joint positions and velocities of 0 remain 0.
+    Default joint positions and velocities of 0 remain 0. Coupled joints follow, as in ``reset_joints_by_offset``.
     """
     _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 
@@ -211,7 +211,10 @@ def reset_joints_by_offset(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, clipped to limits."""
+    """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, clipped to limits.
+
+    Joints that follow other joints (mimic joints) follow. Passive joints of closed loops follow up to second order.
+    """
     _reset_joints(env, env_ids, torch.add, (position_range, velocity_range), generator, asset_cfg)
 
 
@@ -227,6 +230,11 @@ def _reset_joints(
     lowest, highest = picked(data.soft_joint_pos_limits.index_select(0, ids), joints).unbind(dim=2)
     fastest = picked(data.soft_joint_vel_limits.index_select(0, ids), joints)
     robot.write_joint_state_to_sim(pos.clamp(lowest, highest), vel.clamp(-fastest, fastest), joints, ids)
+    if robot.layout.coupled:
+        default, allowed = data.default_joint_pos[ids], robot.layout.admissible.T
+        pos, vel = default + (data.joint_pos[ids] - default) @ allowed, data.joint_vel[ids] @ allowed
+        robot.layout.couplings.follow(pos, vel)
+        robot.write_joint_state_to_sim(pos, vel, env_ids=ids)
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
