@@ -41,6 +41,8 @@ def run(args: argparse.Namespace) -> int:
 
     require_new(output)
     log = read_log(args.log)
+    if not log.is_checked:
+        print(f"note: {shown(args.log)} contains no checksums, so that damage cannot be noticed", file=sys.stderr)
     composed = compose([f"robot={args.robot}"], config_dirs=args.config_dirs)
     config = copy.deepcopy(dict(composed.config))
     config["env"]["robot"]["base"] = "fixed"

@@ -89,7 +89,7 @@ def encoded(table: pa.Table, kind: str) -> bytes:
     """Return the content of a CSV or Parquet file with the given table."""
     buffer = io.BytesIO()
     if kind == "parquet":
-        pq.write_table(table, buffer, compression="zstd")
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
     else:
         pacsv.write_csv(table, buffer)
     return buffer.getvalue()

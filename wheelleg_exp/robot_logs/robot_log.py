@@ -7,8 +7,10 @@ optionally ``status`` (0: the policy accepted the readings) and ``reset`` (1: an
 
 from __future__ import annotations
 
+import base64
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,8 @@ TIME, STATUS, RESET = "time", "status", "reset"
 TARGETS = ("position", "velocity", "effort")
 AXES = {"base_ang_vel": "xyz", "projected_gravity": "xyz", "base_quat": "wxyz"}
 _SUFFIXES = (".csv", ".parquet", ".mcap")
+# The first four fields of a page header in Thrift's compact protocol: integers, of which the fourth is the checksum.
+_PAGE_WITH_CHECKSUM = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}")
 
 
 class LogError(WheellegError):
@@ -34,10 +38,14 @@ class LogError(WheellegError):
 
 @dataclass(frozen=True)
 class RobotLog:
-    """The numbers of a robot's log, each (T,) float64, by column name; missing cells are NaN."""
+    """The numbers of a robot's log, each (T,) float64, by column name; missing cells are NaN.
+
+    ``is_checked`` is true if the file contains checksums, and its numbers fit them.
+    """
 
     path: Path
     columns: Mapping[str, Numbers]
+    is_checked: bool = False
 
     def __len__(self) -> int:
         return len(self.columns[TIME])
@@ -46,6 +54,13 @@ class RobotLog:
     def time(self) -> Numbers:
         """The time of each row, s, (T,)."""
         return self.columns[TIME]
+
+    @property
+    def step_dt(self) -> float:
+        """The mean time between two rows, s, without the gaps of the log."""
+        steps = np.diff(self.time)
+        typical = np.sort(steps)[len(steps) // 2]
+        return float(steps[np.abs(steps - typical) <= 0.5 * abs(typical)].mean())
 
     def has(self, names: Sequence[str]) -> bool:
         """Return whether the log contains all columns ``names``."""
@@ -101,25 +116,30 @@ def noise_of(values: Numbers, axes: tuple[int, ...] = (0,)) -> Numbers:
 
 
 def read_log(path: Path) -> RobotLog:
-    """Read a log; raise LogError if the file is not a log in CSV, Parquet, or MCAP with at least two rows."""
+    """Read a log, and check the checksums of the file.
+
+    Raise LogError if the file is damaged, or is not a log in CSV, Parquet, or MCAP with at least two rows.
+    """
     if path.suffix.lower() not in _SUFFIXES:
         raise LogError(f"'{path}' is not a robot's log", expected="a file that ends with " + ", ".join(_SUFFIXES))
     if not path.is_file():
         raise LogError(f"there is no file '{path}'", expected="a robot's log")
     try:
-        if path.suffix.lower() == ".mcap":
-            table = pa.Table.from_pylist(list(_mcap_rows(path)))
+        if path.suffix.lower() == ".csv":
+            table, is_checked = csv.read_csv(path), False
         else:
-            table = csv.read_csv(path) if path.suffix.lower() == ".csv" else parquet.read_table(path)
+            table, is_checked = _mcap_table(path) if path.suffix.lower() == ".mcap" else _parquet_table(path)
         columns = {name: _numbers(table[name], name, path) for name in table.column_names}
-    except (pa.ArrowException, ValueError, OSError, KeyError) as error:  # KeyError: two columns with one name
+    except LogError:
+        raise
+    except Exception as error:  # The parsers of damaged files raise errors of many types.
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise LogError(f"the log cannot be read: {reason}", key=str(path)) from error
     if TIME not in columns or len(columns[TIME]) < 2:
         raise LogError("the log needs the column 'time' and at least two rows", key=str(path))
     if not np.isfinite(columns[TIME]).all():
         raise LogError("the column 'time' contains a value that is not finite", key=str(path), expected="seconds")
-    return RobotLog(path, columns)
+    return RobotLog(path, columns, is_checked)
 
 
 def _numbers(column: Any, name: str, path: Path) -> Numbers:
@@ -133,18 +153,50 @@ def _numbers(column: Any, name: str, path: Path) -> Numbers:
     return numbers
 
 
-def _mcap_rows(path: Path) -> Iterator[dict[str, Any]]:
+def _parquet_table(path: Path) -> tuple[pa.Table, bool]:
+    """Return a Parquet file's table, and whether all columns have checksums.
+
+    The footer, which describes the columns, has no checksum: compare the facts that it states twice.
+    """
+    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        table, facts, schema = file.read(), file.metadata, file.schema
+    saved = (facts.metadata or {}).get(b"ARROW:schema")
+    names = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(saved))).names if saved else table.column_names
+    groups = [facts.row_group(number) for number in range(facts.num_row_groups)]
+    chunks = [(group, schema.column(i), group.column(i)) for group in groups for i in range(facts.num_columns)]
+    if names != table.column_names or not all(
+        chunk.num_values == group.num_rows
+        and chunk.physical_type == column.physical_type
+        and (chunk.compression != "UNCOMPRESSED" or chunk.total_compressed_size == chunk.total_uncompressed_size)
+        for group, column, chunk in chunks
+    ):
+        raise LogError("the file is damaged: its footer contradicts itself", key=str(path))
+    data, starts = path.read_bytes(), [c.dictionary_page_offset or c.data_page_offset for _, _, c in chunks]
+    return table, all(_PAGE_WITH_CHECKSUM.match(data, start) for start in starts)
+
+
+def _mcap_table(path: Path) -> tuple[pa.Table, bool]:
+    """Return the rows of an MCAP file in the order of their time, and whether all rows have checksums."""
     try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
+        from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Statistics
+        from mcap.stream_reader import StreamReader, breakup_chunk
     except ImportError as error:
         expected = "pip install 'wheelleg_exp[mcap]', or a log in CSV or Parquet"
         raise LogError("MCAP logs need the package mcap, which is not installed", expected=expected) from error
+    messages, channels, unchecked = list[Message](), dict[int, Channel](), False
     with path.open("rb") as stream:
-        try:
-            for _, channel, message in make_reader(stream).iter_messages():
-                row = json.loads(message.data) if channel.message_encoding == "json" else None
-                if isinstance(row, dict) and TIME in row:
-                    yield row
-        except McapError as error:
-            raise LogError(f"the file is not an MCAP log: {error}", key=str(path)) from error
+        reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
+        for record in reader.records:
+            inner: list[McapRecord] = breakup_chunk(record, True) if isinstance(record, Chunk) else [record]
+            messages += [part for part in inner if isinstance(part, Message)]
+            channels |= {part.id: part for part in inner if isinstance(part, Channel)}
+            if isinstance(record, Message) or (isinstance(record, Chunk) and record.uncompressed_crc == 0):
+                unchecked = True
+            elif isinstance(record, DataEnd) and record.data_section_crc:
+                unchecked = False
+            elif isinstance(record, Statistics) and record.message_count != len(messages):
+                message = f"the file is damaged: it has {len(messages)} of its {record.message_count} messages"
+                raise LogError(message, key=str(path))
+    messages.sort(key=lambda message: message.log_time)
+    rows = [json.loads(m.data) for m in messages if channels[m.channel_id].message_encoding == "json"]
+    return pa.Table.from_pylist([row for row in rows if isinstance(row, dict) and TIME in row]), not unchecked
