@@ -48,15 +48,30 @@ def programs(*names: str) -> list[ModuleType]:
         return [__import__(name) for name in names]
 
 
-def drive(bundle: Path, seconds: float, seed: int = 3, noise: float = 1.0, gain: float = 1.0) -> Columns:
-    """Return the log of a balancing robot that is pushed twice per second; its drives have ``gain`` times the gains."""
+def drive(
+    bundle: Path,
+    seconds: float,
+    seed: int = 3,
+    noise: float = 1.0,
+    gain: float = 1.0,
+    step: float = 1.0,
+    edit: Callable[[Any], None] = lambda model: None,
+) -> Columns:
+    """Return the log of a balancing robot that is pushed twice per second; its drives have ``gain`` times the gains.
+
+    A control step takes ``step`` times the control step of the training; ``edit`` changes the MuJoCo model.
+    """
     runner, simulate = programs("runner", "simulate")
     spec = json.loads((bundle / "policy.json").read_text())
     robot, policy = simulate.Robot(spec, bundle / "robot" / "scene.xml"), runner.Policy(bundle)
     weaken(robot, np.full(len(spec["joint_names"]), gain))
+    robot.model.opt.timestep *= step
+    edit(robot.model)
+    simulate.mujoco.mj_setConst(robot.model, robot.data)
+    robot.reset()
     rng, rows = np.random.default_rng(seed), []
-    for step in range(round(seconds / spec["step_dt"])):
-        if step % 30 == 29:
+    for row in range(round(seconds / spec["step_dt"])):
+        if row % 30 == 29:
             robot.data.qvel[:6] += rng.uniform(-1, 1, 6) * PUSH
         readings = robot.readings({name: np.zeros(3) for name in spec["commands"]})
         readings["projected_gravity"] = runner.projected_gravity(readings["base_quat"])
@@ -64,7 +79,7 @@ def drive(bundle: Path, seconds: float, seed: int = 3, noise: float = 1.0, gain:
         for name, sigma in NOISE.items():
             seen[name] = seen[name] + noise * sigma * rng.standard_normal(seen[name].shape)
         targets = policy.step(seen)
-        rows.append(row_of(spec["joint_names"], step * spec["step_dt"], seen, targets))
+        rows.append(row_of(spec["joint_names"], row * step * spec["step_dt"], seen, targets))
         for _ in range(spec["decimation"]):
             robot.drive(targets)
             simulate.mujoco.mj_step(robot.model, robot.data)

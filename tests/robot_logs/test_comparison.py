@@ -97,6 +97,53 @@ def test_a_log_without_faults_has_no_findings(stand, noise):
     assert report.policy_difference < 1e-6
 
 
+def tilted(log: Columns) -> Columns:
+    """Turn the IMU by 3 degrees about y."""
+    cosine, sine, found = np.cos(np.pi / 60), np.sin(np.pi / 60), dict(log)
+    for reading in ("base_ang_vel", "projected_gravity"):
+        x, z = (log[f"{reading}.{axis}"] for axis in "xz")
+        found |= {f"{reading}.x": cosine * x - sine * z, f"{reading}.z": sine * x + cosine * z}
+    return found
+
+
+def heavier(model) -> None:
+    body = model.body("base_link").id
+    model.body_mass[body] *= 1.4
+    model.body_inertia[body] *= 1.4
+
+
+def rubbing(model) -> None:
+    """Add 3 % of the drives' largest torque as friction."""
+    for name, torque in zip(JOINTS, (0.06, 0.06, 0.06, 0.06, 0.27, 0.27), strict=True):
+        model.dof_frictionloss[model.joint(name).dofadr] += torque
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("step", "fault", "kinds"),
+    [(1.003, dict, []), (0.93, dict, ["rate"]), (1.1, tilted, ["rate", "offset"])],
+)
+def test_the_rate_of_the_control_loop_is_named_first(stand, step, fault, kinds):
+    report = compare_log(log_of(fault(drive(stand[0], 5.0, step=step))), *stand)
+    assert [finding.kind for finding in report.findings] == kinds
+    assert not kinds or report.findings[0].value == pytest.approx(1 / step, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "kinds"), [(dict, ["model"]), (tilted, ["offset", "model"])])
+def test_friction_that_is_not_simulated_is_not_blamed_on_a_sensor(stand, fault, kinds):
+    report = compare_log(log_of(fault(drive(stand[0], 5.0, edit=rubbing))), *stand)
+    assert [finding.kind for finding in report.findings] == kinds
+    assert report.findings[-1].columns[0].startswith("joint_vel")
+
+
+@pytest.mark.slow
+def test_a_payload_is_not_blamed_on_the_imu_alone(stand):
+    (finding,) = compare_log(log_of(drive(stand[0], 5.0, edit=heavier)), *stand).findings
+    assert finding.columns == ("projected_gravity.x",)
+    assert "centre of mass" in finding.wrong
+
+
 def test_the_noise_of_a_slow_motion_is_measured():
     rng, time = np.random.default_rng(0), np.arange(2000) / 60
     values = np.stack([3 * np.sin(time) + s * rng.standard_normal(2000) for s in (0.1, 1.0)], axis=1)

@@ -5,6 +5,10 @@ windows of 0.1 s, starting from the log's readings as the hypothesis explains th
 1.48 times the median of their absolute values, which a few pushes do not change. The score of a hypothesis is the sum
 of log(spread without the fault / spread with the fault) over all columns. The fault with the highest score is a finding
 if its score is high enough; the search is then repeated with the log explained by this fault.
+
+A cause that is not among the hypotheses, such as a payload, also lowers the errors of the hypothesis nearest to it.
+Therefore, the excess is compared: the sum of log(spread / spread that the log's noise causes) over all columns. A fault
+that leaves more than two thirds of the excess is not a finding; the finding is that no known fault explains the log.
 """
 
 from __future__ import annotations
@@ -36,7 +40,9 @@ _SMALLEST_SHARE = 0.02  # of a column's motion in 0.1 s
 _NOISE = dict(zip(_READINGS, (0.006, 0.9, 0.12, 0.03), strict=True))
 _NOISE_RATIO, _NOISE_SHARE = 5.0, 0.25
 _LEAST_SCORE, _LEAST_SCORE_OF_OFFSETS, _CERTAIN = 0.8, 0.2, 0.8
+_ORDINARY, _LEAST_EXCESS, _LEAST_SHARE, _UNEXPLAINED = 1.3, 0.5, 0.33, 3.0
 _FEW, _MANY, _LEAST_WINDOWS, _ROUNDS, _ENVS = 60, 240, 10, 4, 512
+_LEAST_RATE, _SIMULATED_RATES = 0.005, 0.25  # shares of the control step
 _POLICY_TOLERANCE, _SMALLEST_TARGET = 0.02, 1e-3
 _ROUNDING, _SAME_ACTION = 2e-6, 0.05
 _HELD_ROWS, _FROZEN_ROWS, _HELD_SHARE, _HELD_JUMP = 3, 30, 0.01, 5.0
@@ -100,15 +106,16 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     names = policy.spec["joint_names"]
     columns = channels(names)
     logged = log.table(columns)
-    findings += clock_findings(log, policy.spec["step_dt"])
+    findings = [*clock_findings(log, policy.spec["step_dt"]), *findings]
     findings += [*held_findings(log, columns), *noise_findings(log, columns)]
+    unchecked = [] if log.is_checked else ["whether the file is damaged, because it contains no checksums"]
     if any(finding.kind in ("time", "stale") for finding in findings):
         # A simulation from readings of the wrong time would blame the wrong column.
         difference, _ = replay_difference(log, policy, logged)
         empty = np.empty((0, len(columns)))
-        undecided = ["whether the readings fit the simulation, before the findings are repaired"]
+        undecided = [*unchecked, "whether the readings fit the simulation, before the findings are repaired"]
         return LogReport(len(log), 0, findings, undecided, columns, empty[:, 0], empty, empty, empty, difference)
-    simulation = LogSimulation(params, mjcf, _ENVS)
+    simulation = LogSimulation(params, mjcf, _ENVS, log.step_dt)
     search = _Search(log, simulation, columns)
     groups = [list(group.joint_names) for group in simulation.robot.actuators.values()]
     # A noisy column would make a wrong scale, offset, or gain look better, because noise is not predictable.
@@ -124,8 +131,9 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     corrected = replay_difference(log, policy, true)[0] if found else difference
     repaired = difference > _POLICY_TOLERANCE >= corrected
     note = "; the policy's targets for the corrected readings are the sent targets" if repaired else ""
-    findings += [replace(finding, evidence=finding.evidence + note) for finding in found]
-    if not difference <= _POLICY_TOLERANCE and not repaired and any(finding.kind != "gain" for finding in findings):
+    findings += [replace(finding, evidence=finding.evidence + note) for finding in found] + search.unexplained
+    is_read_wrong = any(finding.kind not in ("gain", "rate", "model") for finding in findings)
+    if not difference <= _POLICY_TOLERANCE and not repaired and is_read_wrong:
         # Histories and integrals of the policy amplify the errors that remain in corrected readings.
         search.undecided.append("whether the sent targets are the policy's output, before the findings are repaired")
     elif not difference <= _POLICY_TOLERANCE and not repaired:
@@ -133,6 +141,7 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
         evidence = f"{worst}: the difference is {100 * difference:.3g} % of the column's variation (RMS)"
         change = "send the targets of this run's exported policy, call reset at each start, and log what the policy got"
         findings.append(LogFinding("policy", (worst,), wrong, evidence, change, difference))
+    search.undecided += unchecked
     return search.report(findings, difference)
 
 
@@ -163,16 +172,21 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
             evidence += f"that of (w, x, y, z) by {upright[0]:.3f}"
             wrong, change = "the quaternion base_quat is in the order (x, y, z, w)", "reorder base_quat to (w, x, y, z)"
             findings.append(LogFinding("order", tuple(quaternion), wrong, evidence, change))
-    return RobotLog(log.path, columns), findings
+    return replace(log, columns=columns), findings
 
 
 def clock_findings(log: RobotLog, step_dt: float) -> Iterator[LogFinding]:
-    """Yield a finding if the typical time between rows is not the control step."""
-    step = float(np.median(np.diff(log.time)))
-    if abs(step - step_dt) > 0.1 * step_dt:
+    """Yield a finding if the time between rows is not the control step."""
+    step = log.step_dt
+    if abs(step - step_dt) > _SIMULATED_RATES * step_dt:
         wrong = "the log's rows are not control steps"
-        evidence = f"the median time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
+        evidence = f"the time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"
         yield LogFinding("time", ("time",), wrong, evidence, "log each step, in s", step)
+    elif abs(step - step_dt) > _LEAST_RATE * step_dt:
+        wrong = f"the robot's control loop runs at {1 / step:.4g} Hz, but the policy needs {1 / step_dt:.4g} Hz"
+        evidence = f"the mean time between rows is {step:.5g} s, {step / step_dt:.4g} times the control step"
+        change = f"call the policy every {step_dt:.5g} s, or correct the clock of the log"
+        yield LogFinding("rate", ("time",), wrong, evidence, change, step_dt / step)
 
 
 def held_findings(log: RobotLog, columns: Sequence[str]) -> Iterator[LogFinding]:
@@ -291,7 +305,9 @@ class _Search:
         motion = (logged[self.starts + simulation.length] - logged[self.starts]).std(axis=0)
         floors = np.array([_SMALLEST[column.split(".")[0]] for column in columns])
         self.floors = np.maximum(floors, _SMALLEST_SHARE * motion)
+        self.ordinary = np.maximum(self.noise_spreads(simulation.windows(log, _FEW)), self.floors)
         self.undecided: list[str] = []
+        self.unexplained: list[LogFinding] = []
 
     def faults(self, possible: Sequence[Fault]) -> list[LogFinding]:
         """Return the findings that explain the log, one after another; update ``accepted`` and ``undecided``."""
@@ -304,7 +320,11 @@ class _Search:
             score, spreads = self.scores([best], self.starts)
             least = _LEAST_SCORE_OF_OFFSETS if best.kind == "offset" else _LEAST_SCORE
             known = any((finding.kind, finding.columns) == (best.kind, best.columns) for finding in findings)
-            if known or score[0] < least or abs(best.value - best.neutral) < best.least:
+            excess = np.log(np.maximum(spreads / (_ORDINARY * self.ordinary), 1.0)).sum(axis=1)
+            explains = excess[0] < _LEAST_EXCESS or excess[1] < (1 - _LEAST_SHARE) * excess[0]
+            if known or score[0] < least or abs(best.value - best.neutral) < best.least or not explains:
+                if not (findings and explains):
+                    self.unexplained = list(self.deviations(spreads[0] / self.ordinary))
                 break
             findings.append(self.finding(best, spreads))
             self.accepted = best.sensing.after(self.accepted)
@@ -331,6 +351,26 @@ class _Search:
         spreads = 1.4826 * np.median(np.abs(errors), axis=(1, 2))
         spreads = np.maximum(np.nan_to_num(spreads, nan=1e9), self.floors)
         return np.log(spreads[0] / spreads[1:]).sum(axis=1), spreads
+
+    def noise_spreads(self, starts: np.ndarray) -> Numbers:
+        """Return the spreads of the errors that the log's noise causes, (C,): of readings, and of start states."""
+        noise, width = noise_of(self.log.table(self.columns)), len(self.columns)
+        moved = replace(Sensing.identity(width, width, self.accepted.gain.shape[1]), offset=np.diag(noise))
+        change = self.simulation.errors(self.log, moved, starts)
+        change -= self.simulation.errors(self.log, self.accepted, starts)
+        change += np.diag(noise)[:, None, None]  # The offset moves the start state and the reading.
+        spreads: Numbers = np.sqrt(noise**2 + np.median((change**2).sum(axis=0), axis=(0, 1)))
+        return spreads
+
+    def deviations(self, ratios: Numbers) -> Iterator[LogFinding]:
+        """Yield a finding if a column's errors are much larger than the errors that the log's noise causes, (C,)."""
+        column, ratio = self.columns[int(np.argmax(ratios))], float(ratios.max())
+        if ratio > _UNEXPLAINED:
+            wrong = "the robot moves unlike the simulation, and no known fault of readings or drives explains it"
+            evidence = f"the simulation's error of {column} is {ratio:.3g} times the error that the log's noise causes"
+            change = "compare masses, centre of mass, joint friction, wheel radius, and ground with the simulation's; "
+            change += "wheelleg identify measures the motors"
+            yield LogFinding("model", (column,), wrong, evidence, change, ratio)
 
     def finding(self, fault: Fault, spreads: Numbers) -> LogFinding:
         """Return a finding with its evidence: the column whose prediction improves most."""

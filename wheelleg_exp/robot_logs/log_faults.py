@@ -14,7 +14,7 @@ _SCALES = (0.5, 0.8, 0.9, 1.1, 1.25, 2.0)
 _GAINS = (0.5, 0.7, 0.85, 1.2, 1.5, 2.0)
 _ANGLES = (-0.3, -0.1, -0.03, 0.03, 0.1, 0.3)  # rad
 _RATES = (-0.3, -0.1, -0.04, 0.04, 0.1, 0.3)  # rad/s
-_TILTS = (-0.2, -0.05, 0.05, 0.2)  # of a unit vector
+_TILTS = (-0.2, -0.06, -0.02, 0.02, 0.06, 0.2)  # of a unit vector
 _UNITS = {
     "joint_pos": (("degrees", 180 / np.pi), ("revolutions", 0.5 / np.pi)),
     "joint_vel": (("degrees per second", 180 / np.pi), ("rpm", 30 / np.pi), ("revolutions per second", 0.5 / np.pi)),
@@ -100,8 +100,13 @@ def possible_faults(
     gyro, gravity = imu["base_ang_vel"], imu["projected_gravity"]
     yield from _scales(make, gyro, "the gyroscope")
     for column, values in [(c, _RATES) for c in gyro] + [(c, _TILTS) for c in gravity[:2]]:
-        what = "the gyroscope has a bias" if column in gyro else "the IMU is tilted, or gravity has an offset"
+        what = (
+            "the gyroscope has a bias"
+            if column in gyro
+            else "the IMU is tilted, or the centre of mass is not where it is simulated"
+        )
         change = f"subtract {{value:.3g}} from {column}, or calibrate the IMU"
+        change += "" if column in gyro else "; if the IMU is right, correct the mass and its centre"
         for value in values:
             wrong = f"{what}: {column} is {{value:+.3g}} too high"
             yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.02)

@@ -91,13 +91,14 @@ def _silent() -> Iterator[None]:
 
 
 class LogSimulation:
-    """N simulations of the robot of a run's ``env`` config on level ground."""
+    """N simulations of the robot of a run's ``env`` config on level ground; a control step takes ``step_dt``, s."""
 
-    def __init__(self, params: Mapping[str, Any], mjcf: Path, num_envs: int) -> None:
+    def __init__(self, params: Mapping[str, Any], mjcf: Path, num_envs: int, step_dt: float) -> None:
         found = copy.deepcopy(dict(params))
         ground = {name: found["scene"]["terrain"][name] for name in _FRICTION if name in found["scene"]["terrain"]}
         found["scene"] |= {"terrain": {"_target_": _PLANE, **ground}, "sensors": {}}
         self.decimation = int(found["decimation"])
+        found["sim"] |= {"dt": step_dt / self.decimation}
         self.scene = SceneManager(found, mjcf, num_envs).scene
         self.scene.play()
         self.robot, self.sim = self.scene.robot, self.scene.sim
