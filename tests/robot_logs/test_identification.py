@@ -66,7 +66,13 @@ def _config_folder(folder):
 def test_wrong_input_is_refused(tmp_path, monkeypatch, clean):
     monkeypatch.chdir(tmp_path)
     log = write_csv(tmp_path / "log.csv", clean)
-    assert "chirps" in refused("identify", log, "--robot", "physical")
+    assert "no chirps" in refused("identify", log, "--robot", "physical")
+    holes = {
+        name: np.where(np.arange(len(clean["time"])) == 7, np.nan, clean[name]) for name in ("projected_gravity.z",)
+    }
+    text = refused("identify", write_csv(tmp_path / "holes.csv", clean | holes), "--robot", "physical")
+    assert "no chirps that start at rest; 'projected_gravity.z' has no number in row 7" in text
+    assert "holes.csv contains no checksums" in text
     assert "--weight" in refused("identify", log, "--robot", "physical", "--weight", "l03=heavy")
     assert "name of a profile" in refused("identify", log, "--robot", "physical", "-o", "x.txt")
     assert "physicl" in refused("identify", log, "--robot", "physicl", "--config-dir", tmp_path)

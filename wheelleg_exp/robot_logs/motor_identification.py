@@ -211,6 +211,7 @@ def identify(
     Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
     ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps.
     """
+    _chirp_starts(log)
     columns = columns_of("projected_gravity", 3, ())
     mean = log.complete_table(columns).mean(axis=0) if log.has(columns) else np.array([0.0, 0.0, -1.0])
     if np.linalg.norm(mean) < 0.5:
@@ -257,24 +258,33 @@ def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
     return found
 
 
+def _chirp_starts(log: RobotLog) -> np.ndarray:
+    """Return the rows before the first moving target of each chirp; raise LogError if the log has less than two."""
+    targets = log.table([name for name in log.columns if name.startswith("target_")])
+    still = np.append(True, np.abs(np.diff(targets, axis=0)).max(axis=1, initial=0.0) < 1e-9)
+    run = np.zeros(len(log), int)
+    for row in range(1, len(log)):
+        run[row] = run[row - 1] + 1 if still[row] else 0
+    starts = np.flatnonzero((run[:-1] >= round(_REST_S / max(log.step_dt, 1e-6))) & ~still[1:])
+    if len(starts) < 2:
+        empty = [
+            f"; '{n}' has no number in row {np.isnan(x).argmax()}" for n, x in log.columns.items() if np.isnan(x).any()
+        ]
+        message = "the log contains no chirps that start at rest" + "".join(empty[:1])
+        raise LogError(message, key=str(log.path), expected="a log of the bundle's chirps.py")
+    return starts
+
+
 def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
     """Cut the log where all targets rest: each piece starts at rest and ends before the next one."""
     names, step_dt = simulation.names, simulation.dt * simulation.decimation
     log.complete_table([f"target_{kind}.{name}" for kind in TARGETS[:2] for name in names])
     targets = np.stack([log.targets(kind, names) for kind in TARGETS], axis=1)
-    rest = round(_REST_S / step_dt)
-    still = np.append(True, np.abs(np.diff(targets, axis=0)).max(axis=(1, 2)) < 1e-9)
-    run = np.zeros(len(log), int)
-    for row in range(1, len(log)):
-        run[row] = run[row - 1] + 1 if still[row] else 0
-    starts = np.flatnonzero((run[:-1] >= rest) & ~still[1:])
     gaps = np.flatnonzero(log.starts(step_dt)[1:]) + 1
     if len(gaps):
         message = f"row {gaps[0]} does not follow the row before after one control step of {step_dt:.4g} s"
         raise LogError(message, key=str(log.path), expected="one row per control step of the config")
-    if len(starts) < 2:
-        message = "the log contains no chirps that start at rest"
-        raise LogError(message, key=str(log.path), expected="a log of the bundle's chirps.py")
+    starts = _chirp_starts(log)
     length = int(np.diff(np.append(starts, len(log) - 1)).max())
     readings = [log.complete_table([f"{reading}.{name}" for name in names]) for reading in READINGS[:2]]
     effort = [f"joint_effort.{name}" for name in names]
