@@ -141,6 +141,9 @@ def test_the_bundle_runs_without_torch_and_without_this_package(bundle):
     for words, message in (mistakes | seconds).items():
         said = alone(bundle, "simulate.py", *words.split())
         assert (said.returncode, message in said.stderr) == (2, True)
+    for script in ("runner.py", "simulate.py", "chirps.py"):
+        said = alone(bundle, script, "--foo")
+        assert (said.returncode, "usage:" in said.stderr) == (2, True), script
 
 
 def test_a_history_begins_with_the_first_readings_and_is_oldest_first(bundle):

@@ -90,7 +90,7 @@ def write(path: str | Path, rows: Sequence[Mapping[str, float]]) -> None:
 
 def main(words: Sequence[str]) -> int:
     """Simulate the chirps, and write their log to the file that is the only argument."""
-    if len(words) != 1:
+    if len(words) != 1 or words[0].startswith("-"):
         print("usage: python chirps.py LOG.csv", file=sys.stderr)
         return 2
     from simulate import HungRobot  # A robot plays chirps without mujoco.

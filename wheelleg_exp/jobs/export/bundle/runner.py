@@ -13,6 +13,7 @@ with the package onnxruntime or onnx.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import sys
@@ -537,10 +538,13 @@ def largest_difference(found: Any, wanted: np.ndarray) -> float:
 
 def main(words: list[str]) -> int:
     """Print the differences from ``check.npz``; return exit status 1 if a difference exceeds its tolerance, else 0."""
+    parser = argparse.ArgumentParser(description="compare the policy's outputs with the recorded ones")
+    parser.add_argument("--onnx", action="store_true", help="check policy.onnx, with onnxruntime or onnx")
+    onnx = parser.parse_args(words).onnx
     limits = json.loads((Path(__file__).parent / "policy.json").read_text(encoding="utf-8"))["check"]
     status = 0
-    for name, difference in check(onnx="--onnx" in words).items():
-        rounds = "--onnx" in words or name == "actions_float32"
+    for name, difference in check(onnx=onnx).items():
+        rounds = onnx or name == "actions_float32"
         limit = limits["tolerance_float32" if rounds else "tolerance"]
         print(f"{name}: largest difference {difference:.2g}, at most {limit:g}")
         status |= not difference <= limit
