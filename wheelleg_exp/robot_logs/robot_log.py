@@ -183,20 +183,22 @@ def _mcap_table(path: Path) -> tuple[pa.Table, bool]:
     except ImportError as error:
         expected = "pip install 'wheelleg_exp[mcap]', or a log in CSV or Parquet"
         raise LogError("MCAP logs need the package mcap, which is not installed", expected=expected) from error
-    messages, channels, unchecked = list[Message](), dict[int, Channel](), False
+    messages, channels, count, unchecked = list[Message](), dict[int, Channel](), 0, False
     with path.open("rb") as stream:
         reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=path.stat().st_size)
         for record in reader.records:
             inner: list[McapRecord] = breakup_chunk(record, True) if isinstance(record, Chunk) else [record]
-            messages += [part for part in inner if isinstance(part, Message)]
             channels |= {part.id: part for part in inner if isinstance(part, Channel)}
+            found = [part for part in inner if isinstance(part, Message)]
+            count += len(found)
+            messages += [part for part in found if channels[part.channel_id].message_encoding == "json"]
             if isinstance(record, Message) or (isinstance(record, Chunk) and record.uncompressed_crc == 0):
                 unchecked = True
             elif isinstance(record, DataEnd) and record.data_section_crc:
                 unchecked = False
-            elif isinstance(record, Statistics) and record.message_count != len(messages):
-                message = f"the file is damaged: it has {len(messages)} of its {record.message_count} messages"
+            elif isinstance(record, Statistics) and record.message_count != count:
+                message = f"the file is damaged: it has {count} of its {record.message_count} messages"
                 raise LogError(message, key=str(path))
     messages.sort(key=lambda message: message.log_time)
-    rows = [json.loads(m.data) for m in messages if channels[m.channel_id].message_encoding == "json"]
+    rows = [json.loads(message.data) for message in messages]
     return pa.Table.from_pylist([row for row in rows if isinstance(row, dict) and TIME in row]), not unchecked
