@@ -21,7 +21,7 @@ from wheelleg_exp.rl.options import PARAMETERS, agent_options
 from wheelleg_exp.terms import term_binding
 from wheelleg_exp.terms.config_sections import ObservationGroup, dataclass_in, keys_of
 from wheelleg_exp.terms.config_values import options_in
-from wheelleg_exp.terms.key_syntax import Keys
+from wheelleg_exp.terms.key_syntax import Keys, dotted
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, RESERVED, TARGET, resolve_target, signature_parameters
 from wheelleg_exp.terms.term_errors import type_hints
 
@@ -102,6 +102,12 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     inside_default = _default_slots(tree, keys) if node is None and keys else {}
     options = None if inside_default else _options(tree, keys)
     return inside_default if options is None else _dataclass_slots(options, keys)
+
+
+def is_settable(tree: Mapping[str, Any], keys: Keys) -> bool:
+    """Return whether code reads a key by its name, such as a parameter; False for the name of a term."""
+    names = schema.PHYSICS_RULES if keys[:-1] == ("check", "silence") else slots(tree, keys[:-1])
+    return dotted(keys) in KEYS or keys[-1] in names
 
 
 def section_of(keys: Keys) -> str | None:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
 from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
 from wheelleg_exp.config.composing.hydra_errors import place_of_option, where_of
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table, section_at, self_before_others
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
-from wheelleg_exp.terms.key_syntax import dotted, split_path
+from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 from wheelleg_exp.terms.term_binding import RESERVED, TARGET, NotSelected, split_node
 
 _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
@@ -235,6 +236,32 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
         for hidden in source.shadowed
         if source.file is not None and hidden.file in early and hidden.value != source.value
     ]
+
+
+def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
+    """Find empty mappings, which change nothing, and keys without a value, which remove mappings of earlier files."""
+    earlier: list[Keys] = []
+    for file in files:
+        package = split_path(file.package)
+        for keys, value in leaves(file.content):
+            is_bare = value is None and getattr(lookup.at_node(file.file, keys), "value", None) == ""
+            if keys and (value == {} or is_bare):
+                path, depth = (*package, *keys), len(package) + len(keys)
+                names = dict.fromkeys(key[depth] for key in earlier if key[:depth] == path and len(key) > depth)
+                where = show_file(file.file, line_table(file.file).get(keys, 1))
+                yield from _merged_error(path, where, value, names)
+        earlier += [(*package, *keys) for keys in lookup.node_paths(file.content)]
+    for override in composed.parsed:
+        if override.value() == {}:
+            keys = split_path(override.key_or_group)
+            yield from _merged_error(keys, where_of(override), {}, map(str, section_at(composed.config, keys)))
+
+
+def _merged_error(path: Keys, where: str | None, value: Any, names: Iterable[str]) -> Iterator[ConfigError]:
+    what = "the key has no value, and removes" if value is None else "an empty mapping changes nothing: it merges with"
+    expected = "null, which removes all of them, or a value for each unwanted key"
+    if shown := ", ".join(names):
+        yield ConfigError(f"{what} {shown}", key=dotted(path), where=where, expected=expected)
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:

@@ -112,7 +112,7 @@ def check(composed: Composed) -> list[ConfigError]:
     hidden = {str(error.key) for error in errors}
     found = check_tree(config, schema.Root)
     found += list(lists.check_order(composed, files)) or lists.check_overwritten(composed)
-    found += lists.check_listed_twice(files, composed)
+    found += [*lists.check_listed_twice(files, composed), *lists.check_merged_mappings(composed, files)]
     found += lists.unread_in_files(files, composed.primary)
     found += [*check_terms.check_groups_in_use(config), *check_terms.check_folders(config)]
     found += _check_robot(config, composed.asset_roots)

@@ -24,6 +24,7 @@ from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader
 from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, option_problems, translate, unreadable
 from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
 from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
+from wheelleg_exp.config.key_slots import is_settable
 from wheelleg_exp.config.tree_lookup import leaves, node_paths
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, WheellegError
 from wheelleg_exp.packages import config_folder
@@ -332,6 +333,8 @@ def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, A
 def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigError:
     name = dotted(keys)
     message, where = "there is no such key in the run's parameters", f"override {text}"
+    if text.startswith(f"{name}=") and is_settable(tree, tuple(keys)):
+        return ConfigError("the run does not set this key", key=name, where=where, expected=f"+{text}")
     expected = "an existing key; config groups can only be selected for a new run"
     nearest = nearest_path(name, [dotted(path) for path in node_paths(tree)])
     return ConfigError(message, key=name, where=where, expected=expected, nearest=nearest)

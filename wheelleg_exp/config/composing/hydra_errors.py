@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, Repository, missing_headers
 from wheelleg_exp.config.config_errors import AbsentKey, join
-from wheelleg_exp.config.explaining.key_documentation import KEYS
+from wheelleg_exp.config.key_slots import is_settable
 from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -343,8 +343,8 @@ def _override_problem(problem: Exception, override: Override, cfg: DictConfig, g
         return AbsentKey("there is no such key", key=full, where=where, expected=expected, nearest=nearest)
     if existing or not isinstance(problem, ConfigCompositionException) or "Error merging" in str(problem):
         return ConfigError(flat(problem.__cause__ or problem), key=key, where=where)
-    # Suggest `+key=value` for a valid config key (a key described in `KEYS`) that no config file sets.
-    if key in KEYS and not override.is_delete() and lookup.at(shown, split_path(key)[:-1]) is not None:
+    # Suggest `+key=value` for a valid config key that no config file sets.
+    if not override.is_delete() and is_settable(shown, split_path(key)):
         expected = "+" + str(override.input_line).lstrip("+")
         return AbsentKey("no file of the task sets this key", key=key, where=where, expected=expected)
     top = None if split_path(key)[0] in shown else nearest_name(key, [*shown, *groups])
