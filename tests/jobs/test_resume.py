@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import pytest
 import torch
 import yaml
@@ -354,15 +355,28 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
     assert not [f for f in RunDirectory.open(run, run.parents[1]).manifest().compare_files().changed]
 
 
+def test_results_describe_the_last_iteration_and_not_the_one_before_the_resume(run, straight):
+    change_manifest(run, results={**manifest(run)["results"], "stuck_curricula": ["old"], "non_finite": {"a": 1}})
+    log = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+    log[-1]["scalars"]["Episode_Termination/rare"] = 1.0
+    (run / "iterations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in log))
+    resume(run, "agent.max_iterations=5")
+    found, last = manifest(run)["results"], lines(run)[-1]["scalars"]
+    assert (found["iterations"], found["checkpoint"]) == (5, "model_4.pt")
+    assert {name for name in found if "/" in name} == {name for name in last if name in found}
+    assert not {"stuck_curricula", "non_finite", "Episode_Termination/rare"} & found.keys()
+
+
 def test_another_machine_ends_exactness(run, monkeypatch):
     present = environment.versions()
-    monkeypatch.setattr(environment, "versions", lambda: {**present, "mujoco": "4.0.1"})
+    assert manifest(run)["engine"]["version"] == present["mujoco-core"] == mujoco.mj_versionString()
+    monkeypatch.setattr(environment, "versions", lambda: {**present, "mujoco-core": "4.0.1"})
     monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
     (run / "model_3.pt").unlink()
     said = resume(run)
     entry = manifest(run)["resumes"][0]
     assert entry["exact"] is False
-    differences = {("versions", "mujoco"), ("environment_variables", "ATEN_CPU_CAPABILITY")}
+    differences = {("versions", "mujoco-core"), ("environment_variables", "ATEN_CPU_CAPABILITY")}
     assert {(d["section"], d["name"]) for d in entry["differences"]} == differences
     assert "4.0.1" in said.err
 
@@ -499,6 +513,27 @@ def project(tmp_path) -> Path:
         (root / name).write_text(text)
     yield root
     projects.forget(root)
+
+
+@pytest.mark.parametrize("kind", ["ignored", "linked"])
+def test_changed_code_that_git_does_not_store_ends_exactness(project, tmp_path, kind):
+    terms = project / "pet" / "terms.py"
+    subprocess.run(["git", "init", "-q", project], check=True)
+    if kind == "ignored":
+        (project / ".gitignore").write_text("terms.py\n")
+    else:
+        terms.rename(tmp_path / "terms.py")
+        terms.symlink_to(tmp_path / "terms.py")
+    words = [*SMALL, "+reward@env.rewards=patience", "agent.logger=null", "recording.enabled=false"]
+    succeed("train", *words, "agent.max_iterations=1", f"run.root={tmp_path / 'runs'}", "--config-dir", project)
+    run = only_run(tmp_path / "runs")
+    assert manifest(run)["modules"]["pet.terms"] == sha256(terms)
+    resume(run, "agent.max_iterations=2")
+    with terms.open("a") as file:
+        file.write("# changed\n")
+    said = resume(run, "agent.max_iterations=3")
+    assert [entry["exact"] for entry in manifest(run)["resumes"]] == [True, False]
+    assert "code module pet.terms was" in said.err
 
 
 def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(project, tmp_path):

@@ -122,6 +122,15 @@ def test_columns_of_different_lengths_are_refused(tmp_path):
     assert (tmp_path / "r.rrd").read_bytes() == b"mine"
 
 
+def test_recordings_of_one_name_have_ids_of_their_own(tmp_path):
+    paths = [tmp_path / run / "2026-01-01_00-00-00" / "recording.rrd" for run in ("a", "b")]
+    for path in paths:
+        RecordingFile(path, recording_id="2026-01-01_00-00-00", name="n").close()
+    first, second = (Recording(path).recording_id for path in paths)
+    assert first != second
+    assert {len(first), first[:19]} == {28, "2026-01-01_00-00-00"}
+
+
 def test_what_was_flushed_is_in_the_file_and_what_was_not_is_not(tmp_path):
     sink = RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     sink.columns("a", TIMES, rr.Scalars.columns(scalars=[1.0, 2.0, 3.0]))

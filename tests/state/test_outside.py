@@ -114,6 +114,46 @@ def test_a_default_argument_that_is_changed_in_place_is_named(made, default, cha
     _refused(outside, r"the default argument 'memory' of '.*'")
 
 
+class _Counter:
+    calls, seen = 0, torch.zeros(1)  # a plain class of the user, which is not the class of the term
+
+
+_OBJECT = _Plain()
+
+
+def _helper():
+    return [_Counter for _ in range(1)], _OBJECT
+
+
+class _Term:
+    def __call__(self, env):
+        return _helper()
+
+
+@pytest.mark.parametrize("code", [_Term, _helper, lambda env: _helper()])
+@pytest.mark.parametrize(
+    ("owner", "name", "change"),
+    [
+        (_Counter, "calls", lambda: setattr(_Counter, "calls", _Counter.calls + 1)),
+        (_Counter, "seen", lambda: _Counter.seen.add_(1)),
+        (_Plain, "count", lambda: setattr(_OBJECT, "count", _OBJECT.count + 1)),
+    ],
+)
+def test_a_changed_attribute_of_a_class_or_object_that_the_code_of_a_term_names_is_named(code, owner, name, change):
+    outside = _code(code)
+    outside.require_unchanged()
+    change()
+    _refused(outside, f"the attribute '{name}' of '{owner.__qualname__}'")
+
+
+def test_a_list_in_an_object_that_is_a_class_attribute_is_named():
+    kind = type("Kind", (), {"memory": _Plain()})
+    kind.memory.seen = []
+    outside = _code(kind)
+    kind.memory.seen.append(1)
+    _refused(outside, "'memory' of 'Kind'")
+
+
 def test_an_iterator_as_a_class_attribute_or_default_argument_is_refused_at_once():
     kind, term = type("Kind", (), {"ids": itertools.count()}), _with_default(itertools.count())
     for code, what in ((kind, "attribute 'ids' of .*Kind'"), (term, "default argument 'memory' of .*")):

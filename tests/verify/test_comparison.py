@@ -491,6 +491,7 @@ INDEPENDENT, DEPENDENT = {"independent": True}, {"independent": False}
         ("hardware", {"platform": KERNELS[0]}, {"platform": KERNELS[2]}, {}, True),
         ("versions", {"torch": "2.1"}, {"torch": "2.2"}, {}, True),
         ("versions", {"mujoco": "4.0"}, {"mujoco": "4.1"}, {}, True),
+        ("versions", {"mujoco-core": "4.0.0"}, {"mujoco-core": "4.0.1"}, {}, True),
         ("versions", {"rsl-rl-lib": "5.5"}, {"rsl-rl-lib": "5.6"}, {}, False),
         ("threads", {"physics": 1}, {"physics": 2}, {}, False),
         ("threads", {"torch": 1}, {"torch": 2}, STRICT, False),

@@ -120,7 +120,7 @@ def convert_cached(
         "base": base,
         "variants": chosen,
         "converter": _converter_digest(),
-        "libraries": {name: metadata.version(name) for name in ("mujoco", "numpy", "usd-core")},
+        "libraries": {name: metadata.version(name) for name in ("mujoco-core", "numpy", "usd-core")},
     }
     key = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
     entry = Path(cache_dir) / key

@@ -23,8 +23,8 @@ from wheelleg_exp.run.git_commands import without_credentials
 
 # The Python packages whose versions can change a run's numbers or files.
 _DISTRIBUTIONS = (
-    *("wheelleg_exp", "mujoco", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core", "omegaconf"),
-    *("usd-core", "rerun-sdk", "tensorboard", "onnx"),
+    *("wheelleg_exp", "mujoco", "mujoco-core", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core"),
+    *("omegaconf", "usd-core", "rerun-sdk", "tensorboard", "onnx"),
 )
 
 # The prefixes of environment variables that change computed numbers or the number of threads.

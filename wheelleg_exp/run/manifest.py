@@ -99,7 +99,7 @@ _MANIFEST = {
     **dict.fromkeys(("command", "config_dirs"), Optional([str])),
     **dict.fromkeys(("source", "engine", "replay"), Optional(dict)),
     "seeds": Optional(list),
-    "config_variables": Optional({str: str}),
+    **dict.fromkeys(("config_variables", "modules"), Optional({str: str})),
     "ranks": Optional({"world_size": int, "backend": Optional(str), "seeds": Optional(list)}),
 }
 
@@ -321,7 +321,8 @@ class Manifest:
             entry = {"when": utc_text(now or utc_now()), "command": list(command), **json_plain(facts)}
             entry |= {"before": before, **({_PENDING: texts} if texts else {})}
             data["resumes"].append(entry)
-            data.update(status="running", error=None, ended=None, process=this_process(), threads=dict(threads))
+            data.update(status="running", error=None, ended=None, results={})  # The results describe the end.
+            data.update(process=this_process(), threads=dict(threads))
             data.update(versions=environment.versions(), hardware=environment.hardware())
             data["environment_variables"] = environment.variables()
             data["files"] = {k: v for k, v in data["files"].items() if k.startswith(SNAPSHOT)}

@@ -51,8 +51,9 @@ class Engine(Kept, ABC):
         return field.to(self.device, self.dtype if field.is_floating_point() else None)
 
     def promise(self) -> dict[str, Any]:
-        """Return the engine's entry in a run's manifest: name, device, and whether it is bit-reproducible."""
-        return {"name": self.name, "device": str(self.device), "exact": self.exact}
+        """Return the engine's entry in a run's manifest: name, version, device, and whether it is bit-reproducible."""
+        about = {"name": self.name, "version": mujoco.mj_versionString(), "device": str(self.device)}
+        return {**about, "exact": self.exact}
 
     def robot_differences(self) -> list[str]:
         """Return how the simulated robots differ from the model's robots, one text per property."""

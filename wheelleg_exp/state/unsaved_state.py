@@ -1,17 +1,20 @@
 """Raise ConfigError if manager terms hold state that checkpoints cannot restore.
 
 ``Outside`` finds changes that a term makes outside its own attributes: attributes and default arguments of functions
-and classes, and values that the term writes to the scene, the managers, or the config. Changes of global variables and
-closure variables are not detected. The class ``Memory`` finds tensors that share memory. A checkpoint saves each
-attribute separately, so memory that two tensors share would become separate after a resume.
+and classes, attributes of objects of the user's classes, and values that the term writes to the scene, the managers, or
+the config. Changes of other global variables and of closure variables are not detected. The class ``Memory`` finds
+tensors that share memory. A checkpoint saves each attribute separately, so memory that two tensors share would become
+separate after a resume.
 """
 
 from __future__ import annotations
 
+import enum
 import inspect
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -49,7 +52,7 @@ class Outside:
 
     def _seen(self) -> Iterator[tuple[tuple[str, str], Any]]:
         for key, code in self._code.items():
-            for name, item in _code_values(code):
+            for name, item in (found for _, node in walk([("", code)], _named_parts) for found in _code_values(node)):
                 if hasattr(item, "__next__"):
                     message = f"{name} is a {type(item).__name__}, whose state cannot be saved"
                     raise ConfigError(message, key=key, expected="a class term with a number on self, set in __init__")
@@ -79,12 +82,33 @@ def _is_default(value: Any, name: str) -> bool:
     return isinstance(getattr(type(value), name, NOTHING), PLAIN)
 
 
-def _code_values(code: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
+def _named_parts(_: str, node: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the functions, classes, and objects of a user-defined package that its function or class names globally."""
+    package = str(getattr(node, "__module__", "")).partition(".")[0]
+    members = [part for owner in node.__mro__ for part in vars(owner).values()] if inspect.isclass(node) else [node]
+    functions = [inspect.unwrap(getattr(member, "__func__", member)) for member in members]
+    for function in functions if package != PACKAGE else []:
+        for name in _names(function.__code__) if inspect.isfunction(function) else ():
+            item = function.__globals__.get(name)
+            kind = item if inspect.isfunction(item) or inspect.isclass(item) else type(item)
+            is_enum = inspect.isclass(kind) and issubclass(kind, enum.Enum)  # A flag caches its combinations.
+            if str(kind.__module__).partition(".")[0] == package and not is_enum:
+                yield name, item
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for part in code.co_consts:
+        yield from _names(part) if isinstance(part, CodeType) else ()
+
+
+def _code_values(code: Any) -> Iterator[tuple[str, Any]]:
     if not inspect.isclass(code):
         function: Any = code
         while function is not None:
-            owner = getattr(function, "__qualname__", "?")
-            yield from ((f"the attribute '{name}' of '{owner}'", item) for name, item in vars(function).items())
+            owner = getattr(function, "__qualname__", type(function).__qualname__)
+            parts = getattr(function, "__dict__", {})
+            yield from ((f"the attribute '{name}' of '{owner}'", item) for name, item in parts.items())
             yield from _defaults(function)
             function = getattr(function, "__wrapped__", None)
         return
@@ -111,7 +135,8 @@ def _contents(item: Any, name: str) -> Any:
     try:
         return snapshot(item, name)
     except (Unsaveable, RecursionError):
-        return {n: part if isinstance(part, PLAIN) else "there" for n, part in getattr(item, "__dict__", {}).items()}
+        parts, seen = getattr(item, "__dict__", {}), (*PLAIN, *_MUTABLE, torch.Tensor, np.ndarray)
+        return {n: _contents(part, n) if isinstance(part, seen) else "there" for n, part in parts.items()}
 
 
 def _leaves(tree: Any, path: str) -> Iterator[tuple[tuple[str, str], Any]]:

@@ -119,6 +119,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 SECTIONS = ("versions", "hardware", "threads", "environment_variables")
+MUJOCO = ("mujoco", "mujoco-core")  # ``mujoco-core`` contains the physics engine.
 _WIDEST = 40  # In a text that compares two runs, a config value has at most 40 characters.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
@@ -134,7 +135,7 @@ _ALLOWING: dict[str, dict[str, str]] = {
         "machine": "another CPU architecture",
         "platform": "another C library (sine, cosine, exponential)",
     },
-    "versions": {name: f"another {name}" for name in ("torch", "mujoco", "numpy")},
+    "versions": {name: f"another {name}" for name in ("torch", *MUJOCO, "numpy")},
     "threads": {
         "cpu_capability": "other vector instructions",
         "device": "another device",
@@ -175,7 +176,8 @@ def environment_differences(
         if ones is not None and others is not None:
             for name in sorted({*ones, *others} - set(unknown)):
                 one, other = ones.get(name, []), others.get(name, [])
-                if one != other:
+                # A run of an earlier release lacks the versions of packages that were not recorded then.
+                if one != other and (section != "versions" or (one and other)):
                     x, y = (values[0] if len(values) == 1 else values or None for values in (one, other))
                     found.append(FactDifference(section, name, x, y, _allows(section, name, one, other, (a, b))))
     return found
@@ -190,7 +192,18 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     names = sorted({*ones, *others} - listed) if ones and others else []
     facts_of = [(name, ones.get(name), others.get(name)) for name in names]
     more = [FactDifference("distributions", name, one, two) for name, one, two in facts_of if one != two]
-    return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
+    code = [*_code_differences(_code(a, one), _code(b, other))] or module_differences(one.data, other.data)
+    return [*code, *_resume_differences(one, other), *facts, *more]
+
+
+def module_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
+    """Return the imported modules of user code whose files differ between two runs, from the runs' manifests.
+
+    A git tree contains neither ignored files nor the targets of symbolic links.
+    """
+    ones, others = a.get("modules") or {}, b.get("modules") or {}
+    changed = [name for name in ones if name in others and ones[name] != others[name]]
+    return [FactDifference("code", f"module {n}", ones[n], others[n], forbids=True) for n in changed]
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:

@@ -30,7 +30,7 @@ from wheelleg_exp.jobs.saved_robot import save_robot
 from wheelleg_exp.jobs.torch_threads import dependent_products, set_threads, thread_notes
 from wheelleg_exp.jobs.train.initial_networks import find_teacher, initial_file, saved_initial, saved_teacher
 from wheelleg_exp.jobs.train.scalar_logs import require_wandb
-from wheelleg_exp.jobs.train.source_roots import loaded_outside, source_roots
+from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests, source_roots
 from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.rl.determinism import no_global_draws
@@ -144,8 +144,8 @@ def create_run(
             threads=threads,
             max_patch_mb=run.get("max_patch_mb"),
         )
-        manifest.record(engine=env.scene.sim.promise())
-        manifest.record(config_dirs=[str(folder) for folder in recipe.config_dirs])
+        folders = [str(folder) for folder in recipe.config_dirs]
+        manifest.record(engine=env.scene.sim.promise(), modules=module_digests(), config_dirs=folders)
         if rank_facts is not None:
             manifest.record(ranks=rank_facts)
         if (initial := saved_initial(config, recipe.asset)) is not None:

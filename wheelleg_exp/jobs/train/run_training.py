@@ -58,15 +58,19 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     agent = training.recipe.config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
     stuck = StuckCurricula()
+    for line in training.earlier:
+        list(stuck.take(line["iteration"], line["scalars"]))  # The warnings were shown before the resume.
     ending = ending_as(SimulationFailure)
     with training.lock, training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
-        results |= _earlier_results(training.earlier)
+        results |= (before := _earlier_results(training.earlier))
         if outputs.recording is not None and outputs.recording.note:
             display.note(f"warning: {outputs.recording.note}")
         if outputs.wandb is not None:
             display.note(f"scalars and config go to {outputs.wandb.place}")
         stop.check(trainer.ranks.any(stop.requested))
         for iteration in _iterations(training, outputs, results):
+            for key in before.keys() - {"checkpoint", "non_finite"}:  # They describe the iteration before the resume.
+                results.pop(key, None)
             due = checkpoint_due(iteration.index, agent)
             training.recomputed(iteration.index, outputs.write(iteration, due))
             display.iteration(iteration, total)
@@ -98,14 +102,11 @@ def record_untrained(training: Training, display: Display) -> None:
 def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
     """Yield the training iterations, and count the episodes that ended because of a NaN or inf."""
     # If an iteration fails, save the failed state and the checkpoint of the last finished iteration.
-    trainer, failed = training.trainer, Counter[str]()
-    for line in training.earlier:
-        failed.update(logged(line["scalars"]))
+    trainer, failed = training.trainer, Counter[str](results.get("non_finite"))
     try:
         for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
             failed.update(logged(iteration.scalars))
-            # If the manifest already contains a count of NaN episodes, replace this count even by an empty one.
-            if failed or "non_finite" in training.manifest.results:
+            if failed:
                 results["non_finite"] = dict(failed)
             yield iteration
     except SimulationFailure as error:
@@ -159,12 +160,13 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
 
 
 def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the last checkpoint, the number, the duration, and the scalars of the iterations before the resume."""
+    """Return the results of the iterations before the resume, such as their number and the last scalars."""
     if not earlier:
         return {}
     done = len(earlier)
     facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": seconds_of(earlier)}
-    return facts | summary(earlier[-1]["scalars"])
+    failed = sum((Counter(logged(line["scalars"])) for line in earlier), Counter[str]())
+    return facts | summary(earlier[-1]["scalars"]) | ({"non_finite": dict(failed)} if failed else {})
 
 
 def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:

@@ -44,7 +44,7 @@ class Recorder:
     Args:
         path: the file.
         env: the environment.
-        recording_id: id of the recording, such as the run's id.
+        recording_id: start of the recording's id, such as the run's id; the id ends with a hash of ``path``.
         name: the name that the viewer shows.
         env_ids: the recorded environments.
         purpose: selects the layout.

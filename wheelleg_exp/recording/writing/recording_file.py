@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -32,7 +33,8 @@ class RecordingFile:
         self.is_open = False
         self.unfinished: str | None = None
         self._is_broken = False
-        self._recording_id = recording_id
+        # The viewer merges recordings with equal ids, and two runs can write folders of one name within a second.
+        self._recording_id = f"{recording_id}_{hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()[:8]}"
         self._chunks: list[Chunk] = []
         self._blueprint: Any = None
         self._written = temporary_name(path) if aside else path
