@@ -1,5 +1,6 @@
 """The errors that ``realism`` adds to a task: in the config, in the readings of the robot, and in its physics."""
 
+import copy
 import math
 import re
 
@@ -11,7 +12,7 @@ from sim.small_envs import ASSETS
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.realism import with_realism, without_realism
+from wheelleg_exp.env.realism import with_realism, without_disturbances, without_realism
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.delay import DelayBuffer
 
@@ -45,6 +46,36 @@ def test_every_stock_task_gets_the_errors_of_its_sensors_drives_and_body(task):
 def test_without_its_realism_a_task_is_the_ideal_task(variant):
     ideal = compose(["task=walk"]).config["env"]
     assert without_realism(compose(["task=walk", f"realism={variant}", "~training"]).config["env"]) == ideal
+
+
+@pytest.mark.parametrize("variant", ["none", "sensors", "full"])
+def test_without_disturbances_nothing_pushes_the_robot_and_readings_are_exact(variant, tmp_path):
+    """User-defined terms are judged by what they do: when they run, and whether they draw a force."""
+    cfg = compose(["task=walk", f"realism={variant}", "env.num_envs=3", "event@env.events=[reset_base,kicks]"]).config[
+        "env"
+    ]
+    cfg["events"]["poke"] = event(
+        "apply_body_impulse", mode="step", force_range=[1, 2], duration_s=[1, 1], pause_s=[0, 0]
+    )
+    cfg["events"]["load"] = event("set_permanent_body_wrench", mode="reset", force_range=[1, 2], torque_range=[0, 0])
+    address = {"_target_": "wheelleg_exp.mdp.curriculums.modify_term_cfg", "address": "events.poke.force_range"}
+    cfg["curriculum"] = {**cfg["curriculum"], "harder": address}
+    policy = cfg["observations"]["policy"]
+    policy["enable_corruption"] = True
+    policy["terms"]["projected_gravity"]["noise"] = {"_target_": "wheelleg_exp.mdp.noise.GaussianNoise", "std": 9.0}
+    before = copy.deepcopy(cfg)
+    calm = without_disturbances(cfg)
+    assert cfg == before
+    lost = {"kicks", "poke", "load"}
+    assert calm["events"].keys() == before["events"].keys() - lost
+    assert calm["curriculum"].keys() == before["curriculum"].keys() - {"harder"}
+    made = with_realism(calm)["observations"]["policy"]["terms"]
+    assert {name for name, node in made.items() if node.get("noise") is not None} == set()
+    delays = [
+        [node.get("delay") for node in with_realism(env)["observations"]["policy"]["terms"].values()]
+        for env in (calm, cfg)
+    ]
+    assert delays[0] == delays[1]  # A late reading is a property of the robot, and stays.
 
 
 def test_noise_that_the_task_has_switched_off_stays_off():

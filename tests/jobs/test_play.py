@@ -147,6 +147,33 @@ def test_the_same_seed_plays_the_same(run):
     assert first.shape != other.shape or not np.array_equal(first, other)
 
 
+@pytest.mark.parametrize("conditions", ["undisturbed", "training"])
+def test_a_play_leaves_out_the_disturbances_of_the_training_and_says_so(run, conditions):
+    shown = Silent()
+    shown.notes = []
+    shown.note = shown.notes.append
+    words = ["env.num_envs=1", "env.episode_length_s=0.1", f"play.conditions={conditions}"]
+    done = play(run, None, words, ["wheelleg", "play"], shown)
+    content = json.loads((done.folder / "figures.json").read_text())
+    text = Recording(done.recording).document("config")
+    events = yaml.safe_load("\n".join(text.splitlines()[1:-1]))["env"]["events"]
+    undisturbed = conditions == "undisturbed"
+    assert (content["conditions"], "push_robot" in events, "reset_base" in events) == (
+        conditions,
+        not undisturbed,
+        True,
+    )
+    note = "note: without the training's base_external_force_torque, push_robot (with them: play.conditions=training)"
+    assert [line for line in shown.notes if "play.conditions" in line] == [note] * undisturbed
+
+
+def test_an_override_of_a_disturbance_needs_the_conditions_of_the_training(run):
+    words = ["env.num_envs=1", "env.episode_length_s=0.1", "recording.enabled=false", "env.events.push_robot.frame=yaw"]
+    with pytest.raises(ConfigError, match=r"ignores the key.*expected play\.conditions=training"):
+        played(run, *words)
+    assert played(run, *words, "play.conditions=training").figures.episodes == 1
+
+
 def test_a_term_that_is_null_is_played_without_as_in_training(run):
     def rewards(override):
         return Recording(played(run, "env.num_envs=2", "env.episode_length_s=0.1", override).recording).names("rewards")

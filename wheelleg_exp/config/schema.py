@@ -57,8 +57,9 @@ class Root:
 
 @dataclass(frozen=True)
 class Play:
-    """``play``: how figures are measured."""
+    """``play``: the conditions of a play, and how its figures are measured."""
 
+    conditions: Literal["undisturbed", "training"]
     settle_s: NonNegative
 
 

@@ -6,6 +6,7 @@ The section ``env.realism`` names functions of observations instead of terms, so
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,6 +40,33 @@ def without_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     for section in ("events", "curriculum"):
         cfg[section] = {n: node for n, node in cfg[section].items() if n not in realism.get(section, [])}
     cfg.pop("realism", None)
+    return cfg
+
+
+def without_pushes(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the config section ``env`` without events during an episode, such as pushes and kicks."""
+    events = {name: node for name, node in (env_cfg.get("events") or {}).items() if isinstance(node, Mapping)}
+    modes = ("interval", "step")
+    return {**env_cfg, "events": {name: node for name, node in events.items() if node.get("mode") not in modes}}
+
+
+def without_disturbances(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the config section ``env`` without pushes, random forces, and noise of observations.
+
+    A curriculum that changes a removed event is removed, too.
+    """
+    cfg = copy.deepcopy(without_pushes(env_cfg))
+    cfg["events"] = {n: e for n, e in cfg["events"].items() if not {"force_range", "torque_range"} & e.keys()}
+    lost = (env_cfg.get("events") or {}).keys() - cfg["events"].keys()
+    curricula = {n: node for n, node in (cfg.get("curriculum") or {}).items() if node is not None}
+    cfg["curriculum"] = {n: c for n, c in curricula.items() if not lost & {*re.split(r"\W+", str(c.get("address")))}}
+    groups = [group for group in cfg["observations"].values() if group is not None]
+    nodes = [*((cfg.get("realism") or {}).get("sensors") or {}).values()]
+    nodes += [node for group in groups for node in group["terms"].values()]
+    for node in (node for node in nodes if node is not None):
+        node["noise"] = None
+    for group in groups:
+        group["enable_corruption"] = False
     return cfg
 
 

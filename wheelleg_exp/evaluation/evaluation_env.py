@@ -18,7 +18,7 @@ import torch
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.realism import without_realism
+from wheelleg_exp.env.realism import without_pushes, without_realism
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.protocol_options import Ground, Protocol
 from wheelleg_exp.managers import Env
@@ -26,7 +26,6 @@ from wheelleg_exp.managers import Env
 CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
 _CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
-_DISTURBING = ("interval", "step")
 _MOST_CONTACTS = 8  # A wheel on rough ground has at most 8 contacts.
 
 
@@ -49,8 +48,7 @@ def evaluation_cfg(
         message, nearest = f"the task has no command '{protocol.command}'", nearest_name(protocol.command, commands)
         raise ConfigError(message, key="protocol.command", expected=expected, nearest=nearest)
     cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
-    events = {name: node for name, node in cfg["events"].items() if isinstance(node, Mapping)}
-    cfg["events"] = {name: node for name, node in events.items() if node.get("mode") not in _DISTURBING}
+    cfg = without_pushes(cfg)
     # Remove the time-out term, because the evaluation protocol defines the episode length.
     ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
     cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}

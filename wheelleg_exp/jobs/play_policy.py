@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.env.realism import without_disturbances
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import dump_json, write_json
 from wheelleg_exp.jobs.job_display import Display
@@ -45,6 +46,7 @@ from wheelleg_exp.user_exceptions import ending_as
 Tree = dict[str, Any]
 
 _ALTERNATIVES = {
+    **dict.fromkeys(("env.events", "env.observations", "env.realism", "env.curriculum"), "play.conditions=training"),
     "agent.device": "env.sim.engine and env.sim.device: the policy runs where the simulation does",
     "": "agent.torch_threads, agent.clip_actions, agent.max_non_finite, or a key of the policy's network",
 }
@@ -94,20 +96,34 @@ def prepare_policy(
         if errors := check_tree(tree, schema.PlayRoot):
             raise_all(errors)
         require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
-        require_read(recorded, overrides, _settings_read, _ALTERNATIVES)
+        require_read({**recorded, "play": tree["play"]}, overrides, _settings_read, _ALTERNATIVES)
+        disturbed, tree = tree["env"], _in_conditions(tree)
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
-    if tree["env"] == recorded["env"] and env.scene.model_digest() != saved_model_digest(run):
+    if left_out := _left_out(disturbed, tree["env"]):
+        display.note(f"note: without the training's {left_out} (with them: play.conditions=training)")
+    if disturbed == recorded["env"] and env.scene.model_digest() != saved_model_digest(run):
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
-def _settings_read(tree: Mapping[str, Any]) -> Any:
+def _settings_read(tree: Tree) -> Any:
     """Return the settings that a play reads: of ``agent``, the policy's network and the number of accepted failures."""
     agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
-    return {**tree, "agent": agent}
+    return {**_in_conditions(tree), "agent": agent}
+
+
+def _in_conditions(tree: Tree) -> Tree:
+    return tree if tree["play"]["conditions"] == "training" else {**tree, "env": without_disturbances(tree["env"])}
+
+
+def _left_out(disturbed: Tree, env: Tree) -> str:
+    """Return the names of the events that a play leaves out, and ``noise`` if it leaves out noise of observations."""
+    groups = [group for group in disturbed["observations"].values() if group and group.get("enable_corruption")]
+    is_noisy = env is not disturbed and bool(groups or (disturbed.get("realism") or {}).get("sensors"))
+    return ", ".join([*(n for n in disturbed["events"] if n not in env["events"]), *(["noise"] if is_noisy else [])])
 
 
 @dataclass(frozen=True)
@@ -133,7 +149,7 @@ def play(
     meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)
     env.observers += [meter.observe, motion.observe]
     failures = FailureCount(env.num_envs, tree["agent"])
-    content = {**prepared.about, "seed": tree["seed"], "overrides": list(overrides)}
+    content = {**prepared.about, **tree["play"], "seed": tree["seed"], "overrides": list(overrides)}
     with dated_folder(run.play) as folder:
         recording = prepared.recording(folder, command) if tree["recording"]["enabled"] else None
         if recording is not None:

@@ -18,6 +18,7 @@ import torch
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
+from wheelleg_exp.env.realism import without_pushes
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
@@ -40,7 +41,6 @@ OWN_GROUND = "own"  # The name ``own`` selects the ground on which the policy wa
 _GROUP = "scene"
 _SETTINGS = ("seed=", "drive.", "recording.")  # overrides that do not depend on the policy
 _RESTING = "reset_to_resting_pose"  # fits only level ground; a policy that takes over does not need it
-_DISTURBANCES = ("interval", "step")  # Event terms of mode ``interval`` or ``step``, such as pushes, disturb the robot.
 
 
 def scenes() -> list[str]:
@@ -72,10 +72,9 @@ def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = Non
     ``handed_over`` is the config of the scene in which a policy takes over the robot from another policy.
     """
     tree = copy.deepcopy(tree)
-    env = tree["env"]
+    env = tree["env"] = without_pushes(tree["env"])
     env["num_envs"] = 1
     env["episode_length_s"] = tree["drive"]["episode_length_s"]
-    env["events"] = {k: node for k, node in (env.get("events") or {}).items() if node.get("mode") not in _DISTURBANCES}
     env["curriculum"] = {}
     for node in (env.get("commands") or {}).values():
         node |= {k: v for k, v in {"rel_standing_envs": 0.0, "heading_command": False}.items() if k in node}
