@@ -64,6 +64,16 @@ def test_an_action_that_is_not_finite_is_named_as_the_cause(start_env):
     assert all(numbers.isfinite().all() for numbers in (observations["policy"], reward))
 
 
+@pytest.mark.parametrize("size", [1e7, 1e25, math.nan])
+def test_a_reward_that_overflows_because_of_the_actions_is_not_the_cause(start_env, size):
+    spies.VALUES["power"] = lambda env: env.action_manager.action[:, 0] ** 8
+    rate = {"_target_": spies.HERE + "value", "key": "power", "weight": -1.0}
+    env, action = start_env(rewards={"power": rate}), STILL.clone()
+    action[3, 0] = size
+    *_, extras = env.step(action)
+    assert _keys(extras) == {3: ["env.actions"]}
+
+
 def test_rewards_that_are_finite_alone_but_too_large_together_are_named(start_env):
     spies.VALUES["big"] = 3e38
     big = {"_target_": spies.HERE + "value", "key": "big", "weight": 1.0}

@@ -102,3 +102,11 @@ def test_one_failed_episode_and_a_share_of_many_are_always_allowed(num_envs, sha
     count.take({"non_finite": {"keys": {0: ["env.sim"]}, "evidence": {}}})
     with pytest.raises(SimulationFailure, match=r"env\.sim"):
         count.require_few("by now")
+
+
+def test_episodes_that_the_actions_end_are_the_policys_fault():
+    count = FailureCount(1, {})
+    count.take({"non_finite": {"keys": {0: ["env.actions"], 1: ["env.actions"]}, "evidence": {}}})
+    with pytest.raises(SimulationFailure, match="the policy has diverged") as caught:
+        count.require_few("by now")
+    assert caught.value.key == "agent.actor"

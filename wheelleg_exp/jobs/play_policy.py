@@ -100,12 +100,12 @@ def prepare_policy(
         disturbed, tree = tree["env"], _in_conditions(tree)
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
-    if left_out := _left_out(disturbed, tree["env"]):
-        display.note(f"note: without the training's {left_out} (with them: play.conditions=training)")
     if disturbed == recorded["env"] and env.scene.model_digest() != saved_model_digest(run):
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
+    if left_out := _left_out(disturbed, tree["env"]):
+        display.note(f"note: without the training's {left_out} (with them: play.conditions=training)")
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 

@@ -21,6 +21,7 @@ MOST_SAVED = 16  # The state of at most 16 environments is saved for one failure
 PHYSICS = "env.sim"
 ACTIONS = "env.actions"
 POLICY = "agent.actor"
+LARGEST_ACTION = 1e6  # Raw actions are about 1; squares of larger ones can overflow in a reward.
 
 
 def may_fail(sums: Iterable[torch.Tensor]) -> bool:
@@ -38,12 +39,14 @@ def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
 
     ``keys`` maps each failed environment's index to the config keys of the terms with NaN or inf. The entry
     ``evidence`` contains the states of the failed environments. If an environment's physics fails, its rewards can
-    become NaN, too, but ``keys`` then lists no reward terms.
+    become NaN, too, but ``keys`` then lists no reward terms. The same holds for an action that is NaN, inf, or larger
+    than ``LARGEST_ACTION``.
     """
-    bad_actions = set(failed_rows(env.action_manager.action).tolist())
+    bad_actions = set(ids_where(~(env.action_manager.action.abs() <= LARGEST_ACTION).all(dim=1)).tolist())
     chosen = set(env_ids.tolist())
     rewards = {i: names for i, names in env.reward_manager.non_finite.items() if i in chosen}
     keys = {i: [f"env.rewards.{name}" for name in names] or ["env.rewards"] for i, names in rewards.items()}
+    keys |= {i: [ACTIONS] for i in bad_actions & keys.keys()}
     unstable = env_ids[env.scene.unstable()[env_ids]]
     keys |= {i: [ACTIONS if i in bad_actions else PHYSICS] for i in unstable.tolist()}
     keys = dict(sorted(keys.items()))
