@@ -78,7 +78,7 @@ def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_ef
     assert (status, [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"]) == (0, ["rest is dropped"])
     status, report = physics(capsys, "check.silence.spawn_height=null")  # A parent silences the rule.
     assert (status, {f["rule"] for f in report["findings"]}) == (1, {"spawn_height"})
-    assert main(["check", "--physics", "robot=physical"]) == 0
+    assert main(["check", "--physics", "robot=physical"]) == 1
     assert "check.silence.armature_ratio silences nothing here" in capsys.readouterr().out
 
 

@@ -55,6 +55,17 @@ def test_a_scale_that_blows_up_or_buries_a_signal_is_found(target):
         assert found("observation_scale", case(**policy(x=term(target, scale=scale)))) == []
 
 
+def test_an_observation_that_its_neighbours_drown_is_found():
+    """Alone, 8 N·m at a scale of 0.02 are fine. Next to 20 and 20 rad/s, they are 0.8 % of the median."""
+    neighbours = {name: term("observations.joint_vel") for name in ("a", "b")}
+    effort = term("observations.joint_effort", scale=0.02)
+    (finding,) = [f for f in found("observation_scale", case(**policy(x=effort, **neighbours))) if f.key.endswith(".x")]
+    assert "reach the network as 0.16, the group's other terms as 20" in finding.message
+    assert found("observation_scale", case(**policy(x=effort))) == []
+    louder = {**effort, "scale": 0.03}
+    assert not [f for f in found("observation_scale", case(**policy(x=louder, **neighbours))) if f.key.endswith(".x")]
+
+
 def test_a_command_is_as_large_as_its_range():
     velocity = term("commands.UniformVelocityCommand", ranges={"lin_vel_x": [-0.3, 0.2], "ang_vel_z": [-0.5, 0.5]})
     node = term("observations.generated_commands", command_name="velocity", scale=100.0)

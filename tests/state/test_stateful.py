@@ -265,15 +265,6 @@ def test_a_dataclass_may_be_an_attribute_but_must_not_change():
         value.state_dict()
 
 
-def test_a_class_may_be_an_attribute_but_its_numbers_must_not_change():
-    kind = type("Settings", (), {"gain": 1.0})
-    value = new(holding(lambda: kind))
-    assert value.state_dict() == {}
-    kind.gain = 2.0
-    with pytest.raises(ConfigError, match=r"'held'.*changed"):
-        value.state_dict()
-
-
 class Tagged(list):
     """A subclass of list, whose instances can have attributes."""
 

@@ -79,15 +79,6 @@ def _yaml_node(file: Path, _modified_ns: int) -> yaml.Node | None:
     return yaml_tree(file.read_bytes())
 
 
-def at_node(file: Path, keys: Keys) -> yaml.Node | None:
-    """Return the YAML node at a key path of a file; None if the file has no such key."""
-    node = yaml_node(file)
-    for key in keys:
-        pairs = node.value if isinstance(node, yaml.MappingNode) else []
-        node = next((value for name, value in pairs if name.value == str(key)), None)
-    return node
-
-
 def line_table(file: Path) -> dict[Keys, int]:
     """Return the line, counted from 1, of each key of a YAML file."""
     table: dict[Keys, int] = {}

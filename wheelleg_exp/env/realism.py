@@ -46,28 +46,23 @@ def without_realism(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
 def without_pushes(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     """Return the config section ``env`` without events during an episode, such as pushes and kicks."""
     events = {name: node for name, node in (env_cfg.get("events") or {}).items() if isinstance(node, Mapping)}
-    modes = ("interval", "step")
-    return {**env_cfg, "events": {name: node for name, node in events.items() if node.get("mode") not in modes}}
+    return {**env_cfg, "events": {n: e for n, e in events.items() if e.get("mode") not in ("interval", "step")}}
 
 
 def without_disturbances(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the config section ``env`` without pushes, random forces, and noise of observations.
-
-    A curriculum that changes a removed event is removed, too.
-    """
+    """Return the config section ``env`` without pushes, random forces, noise, and curricula of removed events."""
     cfg = copy.deepcopy(without_pushes(env_cfg))
     cfg["events"] = {n: e for n, e in cfg["events"].items() if not {"force_range", "torque_range"} & e.keys()}
-    lost = (env_cfg.get("events") or {}).keys() - cfg["events"].keys()
-    curricula = {n: node for n, node in (cfg.get("curriculum") or {}).items() if node is not None}
-    cfg["curriculum"] = {n: c for n, c in curricula.items() if not lost & {*re.split(r"\W+", str(c.get("address")))}}
-    groups = [group for group in cfg["observations"].values() if group is not None]
-    nodes = [*((cfg.get("realism") or {}).get("sensors") or {}).values()]
-    nodes += [node for group in groups for node in group["terms"].values()]
-    for node in (node for node in nodes if node is not None):
+    lost, curricula = (env_cfg.get("events") or {}).keys() - cfg["events"].keys(), cfg.get("curriculum") or {}
+    kept = {n: c for n, c in curricula.items() if c and not lost & {*re.split(r"\W+", str(c.get("address")))}}
+    groups = [group for group in cfg["observations"].values() if group]
+    sensors = (cfg.get("realism") or {}).get("sensors") or {}
+    nodes = [*sensors.values(), *(node for group in groups for node in group["terms"].values())]
+    for node in filter(None, nodes):
         node["noise"] = None
     for group in groups:
         group["enable_corruption"] = False
-    return cfg
+    return {**cfg, "curriculum": kept}
 
 
 def with_action_delay(env_cfg: Mapping[str, Any], errors: ActionRealism) -> dict[str, Any]:

@@ -97,15 +97,17 @@ def prepare_policy(
             raise_all(errors)
         require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
         require_read({**recorded, "play": tree["play"]}, overrides, _settings_read, _ALTERNATIVES)
-        disturbed, tree = tree["env"], _in_conditions(tree)
+        is_changed, tree = tree["env"] != recorded["env"], _in_conditions(tree)
         env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
     set_threads(tree["agent"], env.scene.sim.nthread)
-    if disturbed == recorded["env"] and env.scene.model_digest() != saved_model_digest(run):
+    if not is_changed and env.scene.model_digest() != saved_model_digest(run):
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
-    if left_out := _left_out(disturbed, tree["env"]):
-        display.note(f"note: without the training's {left_out} (with them: play.conditions=training)")
+    if tree["play"]["conditions"] != "training":
+        display.note(
+            "note: no pushes, random forces, or observation noise; play.conditions=training has those of the run"
+        )
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
@@ -117,13 +119,6 @@ def _settings_read(tree: Tree) -> Any:
 
 def _in_conditions(tree: Tree) -> Tree:
     return tree if tree["play"]["conditions"] == "training" else {**tree, "env": without_disturbances(tree["env"])}
-
-
-def _left_out(disturbed: Tree, env: Tree) -> str:
-    """Return the names of the events that a play leaves out, and ``noise`` if it leaves out noise of observations."""
-    groups = [group for group in disturbed["observations"].values() if group and group.get("enable_corruption")]
-    is_noisy = env is not disturbed and bool(groups or (disturbed.get("realism") or {}).get("sensors"))
-    return ", ".join([*(n for n in disturbed["events"] if n not in env["events"]), *(["noise"] if is_noisy else [])])
 
 
 @dataclass(frozen=True)

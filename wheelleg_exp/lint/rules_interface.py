@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from statistics import median
 from typing import Any
 
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
@@ -176,27 +177,36 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 
 @rule
 def observation_scale(case: Case) -> Iterator[Finding]:
-    """The size of an observation at the network's input is much larger or much smaller than 1.
+    """The size of an observation at the network's input is much larger or smaller than 1, or than its neighbours.
 
     The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation,
-    computed from the robot's limits and the config, should be between 0.01 and 10. An observation is not checked if all
-    networks that receive it normalise their inputs. Source: Andrychowicz and others (2021, "What matters in on-policy
-    reinforcement learning?") recommend input normalisation.
+    computed from the robot's limits and the config, should be between 0.01 and 10, and above 1 % of the median of the
+    other terms of its group. An observation is not checked if all networks that receive it normalise their inputs.
+    Source: Andrychowicz and others (2021, "What matters in on-policy reinforcement learning?") recommend input
+    normalisation.
     """
+    inputs = {term.path: (signal_size(case, term) or 0.0) * _scale(term) for term in case.terms("observations")}
     for term in case.terms("observations"):
         group = term.path.split(".")[2]
+        others = [i for path, i in inputs.items() if i and path.split(".")[2] == group and path != term.path]
         networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
         if bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks):
             continue
-        size, given = signal_size(case, term), term.node.get("scale")
-        scale = largest(given) if isinstance(given, list) else 1.0 if given is None else abs(float(given))
-        if size is None or size == 0.0 or _SMALLEST <= size * scale <= _LARGEST:
+        size, scale, usual = signal_size(case, term), _scale(term), median(others) if others else 1.0
+        is_faint = size is not None and size * scale <= _SMALLEST * usual
+        if size is None or size == 0.0 or (_SMALLEST <= size * scale <= _LARGEST and not is_faint):
             continue
         fitting = at_most(1.0 / size)
         message = f"values of up to {size:.3g} times a scale of {scale:g} reach the network as {size * scale:.3g}"
+        message += f", the group's other terms as {usual:.3g}" if others else ""
         hint = f"a scale near {fitting:g}, so that the largest value is near 1"
         figures = {"largest": size, "scale": scale, "seen": size * scale}
         yield Finding(term.path, message, hint, figures, ({f"{term.path}.scale": fitting},))
+
+
+def _scale(term: TermView) -> float:
+    given = term.node.get("scale")
+    return largest(given) if isinstance(given, list) else 1.0 if given is None else abs(float(given))
 
 
 def signal_size(case: Case, term: TermView) -> float | None:

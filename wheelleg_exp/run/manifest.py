@@ -321,9 +321,8 @@ class Manifest:
             entry = {"when": utc_text(now or utc_now()), "command": list(command), **json_plain(facts)}
             entry |= {"before": before, **({_PENDING: texts} if texts else {})}
             data["resumes"].append(entry)
-            data.update(status="running", error=None, ended=None, results={})  # The results describe the end.
-            data.update(process=this_process(), threads=dict(threads))
-            data.update(versions=environment.versions(), hardware=environment.hardware())
+            data.update(status="running", error=None, ended=None, process=this_process(), threads=dict(threads))
+            data.update(versions=environment.versions(), hardware=environment.hardware(), results={})
             data["environment_variables"] = environment.variables()
             data["files"] = {k: v for k, v in data["files"].items() if k.startswith(SNAPSHOT)}
             for name, content in ((name, text.encode("utf-8")) for name, text in texts.items()):

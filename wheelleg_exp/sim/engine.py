@@ -52,8 +52,8 @@ class Engine(Kept, ABC):
 
     def promise(self) -> dict[str, Any]:
         """Return the engine's entry in a run's manifest: name, version, device, and whether it is bit-reproducible."""
-        about = {"name": self.name, "version": mujoco.mj_versionString(), "device": str(self.device)}
-        return {**about, "exact": self.exact}
+        version = mujoco.mj_versionString()
+        return {"name": self.name, "version": version, "device": str(self.device), "exact": self.exact}
 
     def robot_differences(self) -> list[str]:
         """Return how the simulated robots differ from the model's robots, one text per property."""

@@ -113,8 +113,6 @@ def snapshot(value: Any, path: str) -> Any:
         return Reference(value, None if isinstance(value.__self__, type) else snapshot(value.__self__, path))
     if isinstance(value, partial):
         return Reference(value, snapshot([value.args, value.keywords], path))
-    if isinstance(value, type):
-        return Reference(value, {name: item for name, item in vars(value).items() if type(item) in PLAIN})
     if isinstance(value, _CONSTANTS):
         return Reference(value)
     if dataclasses.is_dataclass(value) and hasattr(value, "__dict__"):

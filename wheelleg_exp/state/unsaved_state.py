@@ -86,20 +86,14 @@ def _named_parts(_: str, node: Any) -> Iterator[tuple[str, Any]]:
     """Yield the functions, classes, and objects of a user-defined package that its function or class names globally."""
     package = str(getattr(node, "__module__", "")).partition(".")[0]
     members = [part for owner in node.__mro__ for part in vars(owner).values()] if inspect.isclass(node) else [node]
-    functions = [inspect.unwrap(getattr(member, "__func__", member)) for member in members]
-    for function in functions if package != PACKAGE else []:
-        for name in _names(function.__code__) if inspect.isfunction(function) else ():
+    for function in (inspect.unwrap(getattr(member, "__func__", member)) for member in members):
+        code = [function.__code__, *function.__code__.co_consts] if inspect.isfunction(function) else []
+        names = {name for part in code if isinstance(part, CodeType) for name in part.co_names}
+        for name in sorted(names) if package != PACKAGE else ():
             item = function.__globals__.get(name)
             kind = item if inspect.isfunction(item) or inspect.isclass(item) else type(item)
-            is_enum = inspect.isclass(kind) and issubclass(kind, enum.Enum)  # A flag caches its combinations.
-            if str(kind.__module__).partition(".")[0] == package and not is_enum:
+            if str(kind.__module__).partition(".")[0] == package and not isinstance(kind, enum.EnumMeta):
                 yield name, item
-
-
-def _names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for part in code.co_consts:
-        yield from _names(part) if isinstance(part, CodeType) else ()
 
 
 def _code_values(code: Any) -> Iterator[tuple[str, Any]]:

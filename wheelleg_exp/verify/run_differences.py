@@ -118,7 +118,7 @@ def _same(a: Any, b: Any) -> bool:
     return same(a, b)
 
 
-SECTIONS = ("versions", "hardware", "threads", "environment_variables")
+SECTIONS = ("versions", "modules", "hardware", "threads", "environment_variables")
 MUJOCO = ("mujoco", "mujoco-core")  # ``mujoco-core`` contains the physics engine.
 _WIDEST = 40  # In a text that compares two runs, a config value has at most 40 characters.
 UNKNOWN_CODE = "files, not recorded"
@@ -165,7 +165,7 @@ class FactDifference:
 def environment_differences(
     a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
 ) -> list[FactDifference]:
-    """Return how two runs' manifests differ in versions, hardware, threads, and environment variables.
+    """Return how two runs' manifests differ in versions, modules, hardware, threads, and environment variables.
 
     If one manifest lacks a section, such as ``hardware``, this section is not compared. Facts in ``unknown``, such as
     ``torch_cpu_capability``, are not compared.
@@ -176,10 +176,11 @@ def environment_differences(
         if ones is not None and others is not None:
             for name in sorted({*ones, *others} - set(unknown)):
                 one, other = ones.get(name, []), others.get(name, [])
-                # A run of an earlier release lacks the versions of packages that were not recorded then.
-                if one != other and (section != "versions" or (one and other)):
+                # A run of an earlier release lacks some versions, and two runs can import different modules.
+                if one != other and (section not in SECTIONS[:2] or (one and other)):
                     x, y = (values[0] if len(values) == 1 else values or None for values in (one, other))
-                    found.append(FactDifference(section, name, x, y, _allows(section, name, one, other, (a, b))))
+                    allows = _allows(section, name, one, other, (a, b))
+                    found.append(FactDifference(section, name, x, y, allows, forbids=section == "modules"))
     return found
 
 
@@ -192,18 +193,7 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     names = sorted({*ones, *others} - listed) if ones and others else []
     facts_of = [(name, ones.get(name), others.get(name)) for name in names]
     more = [FactDifference("distributions", name, one, two) for name, one, two in facts_of if one != two]
-    code = [*_code_differences(_code(a, one), _code(b, other))] or module_differences(one.data, other.data)
-    return [*code, *_resume_differences(one, other), *facts, *more]
-
-
-def module_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[FactDifference]:
-    """Return the imported modules of user code whose files differ between two runs, from the runs' manifests.
-
-    A git tree contains neither ignored files nor the targets of symbolic links.
-    """
-    ones, others = a.get("modules") or {}, b.get("modules") or {}
-    changed = [name for name in ones if name in others and ones[name] != others[name]]
-    return [FactDifference("code", f"module {n}", ones[n], others[n], forbids=True) for n in changed]
+    return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
 
 
 def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:

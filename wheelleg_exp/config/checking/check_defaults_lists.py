@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -241,27 +241,24 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
 def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
     """Find empty mappings, which change nothing, and keys without a value, which remove mappings of earlier files."""
     earlier: list[Keys] = []
+    found = [(split_path(o.key_or_group), o.value(), where_of(o)) for o in composed.parsed if o.value() == {}]
+    empty = [(keys, value, where, section_at(composed.config, keys)) for keys, value, where in found]
     for file in files:
-        package = split_path(file.package)
+        package, lines = split_path(file.package), lookup.file_text(file.file).splitlines()
         for keys, value in leaves(file.content):
-            is_bare = value is None and getattr(lookup.at_node(file.file, keys), "value", None) == ""
-            if keys and (value == {} or is_bare):
+            line = line_table(file.file).get(keys, 1)
+            if keys and (value == {} or (value is None and re.search(r":\s*(#.*)?$", lines[line - 1]))):
                 path, depth = (*package, *keys), len(package) + len(keys)
                 names = dict.fromkeys(key[depth] for key in earlier if key[:depth] == path and len(key) > depth)
-                where = show_file(file.file, line_table(file.file).get(keys, 1))
-                yield from _merged_error(path, where, value, names)
+                empty.append((path, value, show_file(file.file, line), names))
         earlier += [(*package, *keys) for keys in lookup.node_paths(file.content)]
-    for override in composed.parsed:
-        if override.value() == {}:
-            keys = split_path(override.key_or_group)
-            yield from _merged_error(keys, where_of(override), {}, map(str, section_at(composed.config, keys)))
-
-
-def _merged_error(path: Keys, where: str | None, value: Any, names: Iterable[str]) -> Iterator[ConfigError]:
-    what = "the key has no value, and removes" if value is None else "an empty mapping changes nothing: it merges with"
-    expected = "null, which removes all of them, or a value for each unwanted key"
-    if shown := ", ".join(names):
-        yield ConfigError(f"{what} {shown}", key=dotted(path), where=where, expected=expected)
+    for path, value, where, names in empty:
+        what = (
+            "the key has no value, and removes" if value is None else "an empty mapping changes nothing: it merges with"
+        )
+        expected = "null, which removes all of them, or a value for each unwanted key"
+        if names:
+            yield ConfigError(f"{what} {', '.join(names)}", key=dotted(path), where=where, expected=expected)
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:

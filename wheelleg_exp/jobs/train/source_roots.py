@@ -12,7 +12,6 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import describe_changes
 from wheelleg_exp.run.source_restore import source_records
 from wheelleg_exp.run.source_snapshot import is_installed, snapshot_source, source_entries
-from wheelleg_exp.verify.run_differences import FactDifference, environment_differences, module_differences
+from wheelleg_exp.verify.run_differences import SECTIONS, FactDifference, environment_differences
 
 _PACKAGE = "wheelleg_exp"
 _CALLS = ("_target_", "class_name")
@@ -57,15 +56,11 @@ def loaded_outside(roots: Sequence[Path]) -> list[Path]:
 
 def module_digests() -> dict[str, str]:
     """Return the sha256 of the file of each imported module that is neither installed nor part of this package."""
-    found = {}
-    for name, module in sorted(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if name.partition(".")[0] in (_PACKAGE, "__main__") or not isinstance(file, str):
-            continue
-        path = Path(file)
-        if not is_installed(path) and _is_outside_python(path) and path.is_file():
-            found[name] = sha256(path)
-    return found
+    modules = sorted(sys.modules.items())
+    tops = {name: _places(module) for name, module in modules if "." not in name}
+    own = {n for n, places in tops.items() if n not in (_PACKAGE, "__main__") and not all(map(is_installed, places))}
+    files = {n: getattr(module, "__file__", None) for n, module in modules if n.partition(".")[0] in own}
+    return {n: sha256(Path(f)) for n, f in files.items() if isinstance(f, str) and Path(f).is_file()}
 
 
 def _config_folders(composed: Composed) -> Iterator[Path]:
@@ -118,15 +113,11 @@ def _places(module: Any) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
-    return [path.resolve() for path in found if _is_outside_python(path) and path.exists()]
-
-
-def _is_outside_python(path: Path) -> bool:
     # Compare unresolved paths, because ``sitecustomize`` in Python's library folder can be a symbolic link.
-    return path.is_absolute() and not any(path.is_relative_to(folder) for folder in _python_folders())
+    own = [path for path in found if path.is_absolute() and not any(path.is_relative_to(f) for f in _python_folders())]
+    return [path.resolve() for path in own if path.exists()]
 
 
-@cache
 def _python_folders() -> list[Path]:
     paths = sysconfig.get_paths()
     return [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib", "scripts")]
@@ -149,11 +140,9 @@ def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: 
     ``threads`` is the dictionary that ``set_threads`` returned for this process.
     """
     now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
-    now["environment_variables"] = environment.variables()
-    data = run.manifest().data
-    facts = environment_differences(data, now)
-    code = _source_differences(run, config_dirs) or module_differences(data, {"modules": module_digests()})
-    return code + [fact for fact in facts if fact.section == "versions" or fact.allows]
+    now |= {"environment_variables": environment.variables(), "modules": module_digests()}
+    facts = environment_differences(run.manifest().data, now)
+    return _source_differences(run, config_dirs) + [f for f in facts if f.section in SECTIONS[:2] or f.allows]
 
 
 def _source_differences(run: RunDirectory, config_dirs: Sequence[Path]) -> list[FactDifference]:
