@@ -533,7 +533,7 @@ def test_changed_code_that_git_does_not_store_ends_exactness(project, tmp_path, 
         file.write("# changed\n")
     said = resume(run, "agent.max_iterations=3")
     assert [entry["exact"] for entry in manifest(run)["resumes"]] == [True, False]
-    assert "code module pet.terms was" in said.err
+    assert "modules pet.terms was" in said.err
 
 
 def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(project, tmp_path):

@@ -196,3 +196,32 @@ def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []
     further = case(average_iterations=10)
     assert found("late_average", replace(further, config={**further.config, "init_from": "latest"})) == []
+
+
+TILES = {
+    "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator", "size": [2.0, 2.0], "num_rows": 1, "num_cols": 1,
+    "border_width": 1.0, "horizontal_scale": 0.02, "vertical_scale": 0.0001, "curriculum": False,
+    "difficulty_range": [1.0, 1.0], "static_friction": 0.6, "dynamic_friction": 0.4, "restitution": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("inverted", [True, False])
+@pytest.mark.parametrize(
+    ("section", "node"),
+    [
+        ("terminations", term("terminations.root_height_below_minimum", minimum_height=0.1)),
+        ("rewards", term("rewards.base_height_l2", target_height=0.3, weight=-1.0)),
+    ],
+)
+def test_a_height_in_the_world_is_found_on_tiles_with_pits(section, node, inverted):
+    """The ground falls at 0.3 rad from the edge of the tile to a platform of 0.4 m: 0.8 m times tan(0.3)."""
+    slope = {"proportion": 1.0, "slope_range": [0.3, 0.3], "platform_width": 0.4, "inverted": inverted}
+    tiles = {"slope": {"_target_": "wheelleg_exp.sim.terrain.PyramidSlope", **slope}}
+    findings = found(
+        "world_height", case(scene={"terrain": {**TILES, "sub_terrains": tiles}}, **{section: {"x": node}})
+    )
+    assert [finding.key for finding in findings] == [f"env.{section}.x"] * inverted
+    assert [finding.figures["depth_m"] for finding in findings] == [
+        pytest.approx(0.8 * math.tan(0.3), abs=0.01)
+    ] * inverted
+    assert found("world_height", case(**{section: {"x": node}})) == []

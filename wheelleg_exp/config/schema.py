@@ -123,8 +123,8 @@ PHYSICS_RULES: tuple[str, ...] = (
     "noise_against_signal", "noop_curriculum", "noop_joint_reset", "noop_restitution", "observation_scale",
     "overlapping_bodies", "placeholder_limits", "ppo_batch", "push_size", "reset_into_ground", "reward_outweighs",
     "reward_too_small", "robot_size", "rolling_direction", "spawn_height", "target_height", "tracking_std",
-    "unbounded_observation", "weak_wheels", "wheel_senses", "wheels_that_do_not_roll", "wrench_size",
-    "zero_width_range",
+    "unbounded_observation", "weak_wheels", "wheel_senses", "wheels_that_do_not_roll", "world_height",
+    "wrench_size", "zero_width_range",
 )  # fmt: skip
 
 

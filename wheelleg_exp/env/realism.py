@@ -55,13 +55,12 @@ def without_disturbances(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     cfg["events"] = {n: e for n, e in cfg["events"].items() if not {"force_range", "torque_range"} & e.keys()}
     lost, curricula = (env_cfg.get("events") or {}).keys() - cfg["events"].keys(), cfg.get("curriculum") or {}
     kept = {n: c for n, c in curricula.items() if c and not lost & {*re.split(r"\W+", str(c.get("address")))}}
-    groups = [group for group in cfg["observations"].values() if group]
-    sensors = (cfg.get("realism") or {}).get("sensors") or {}
-    nodes = [*sensors.values(), *(node for group in groups for node in group["terms"].values())]
+    nodes = [*((cfg.get("realism") or {}).get("sensors") or {}).values()]
+    for group in filter(None, cfg["observations"].values()):
+        group["enable_corruption"] = False
+        nodes += group["terms"].values()
     for node in filter(None, nodes):
         node["noise"] = None
-    for group in groups:
-        group["enable_corruption"] = False
     return {**cfg, "curriculum": kept}
 
 

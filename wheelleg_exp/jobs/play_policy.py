@@ -105,9 +105,7 @@ def prepare_policy(
     adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
     policy = load_policy(checkpoint, adapter, tree["agent"])
     if tree["play"]["conditions"] != "training":
-        display.note(
-            "note: no pushes, random forces, or observation noise; play.conditions=training has those of the run"
-        )
+        display.note("note: no pushes, random forces, or observation noise (play.conditions=training has them)")
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
@@ -16,7 +17,9 @@ from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
 from wheelleg_exp.lint.reward_tolerances import HEIGHTS
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below, largest, rule
 from wheelleg_exp.lint.rules_drives import wheel_friction
+from wheelleg_exp.managers.manager_base import build
 
+_WORLD_HEIGHTS = ("terminations.root_height_below_minimum", "rewards.base_height_l2", "observations.base_pos_z")
 _REPEATED = ("reset", "interval")
 # The ranges ``resampling_time_range`` and ``restitution_range`` may have equal lower and upper bounds.
 _FIXED = ("resampling_time_range", "restitution_range")
@@ -260,6 +263,24 @@ def target_height(case: Case) -> Iterator[Finding]:
             message = f"{1e3 * target:.4g} mm, and the default pose stands {1e3 * standing:.4g} mm high"
             hint = f"{right:g} m, or another default pose"
             yield Finding(key, message, hint, {"target_m": target, "standing_m": standing}, ({key: right},))
+
+
+@rule
+def world_height(case: Case) -> Iterator[Finding]:
+    """A term measures the robot's height from z = 0 of the world, and the terrain has pits.
+
+    In a pit of depth d, a standing robot is lower by d than on flat ground. Source: geometry of the generated tiles.
+    """
+    terrain, depth = case.env["scene"]["terrain"], 0.0
+    found = [term for kind in _WORLD_HEIGHTS for term in case.terms(kind.partition(".")[0], kind)]
+    terms = [term for term in found if term.node.get("sensor_cfg") is None]
+    if terms and "sub_terrains" in terrain:
+        (made := build(terrain, "env.scene.terrain")).place(1, 1.0, torch.device("cpu"), torch.Generator)
+        depth = -min(float(tile.heights.min()) for tile in made.relief.tiles)
+    for term in terms if depth > _HEIGHT * case.facts.standing_height else ():
+        message = f"the height counts from z = 0, and the ground of the tiles is up to {1e3 * depth:.3g} mm lower"
+        hint = "root_height_over_ground_below_minimum, base_height_over_ground_l2, or base_height"
+        yield Finding(term.path, message, hint, {"depth_m": depth})
 
 
 @rule

@@ -180,10 +180,9 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or smaller than 1, or than its neighbours.
 
     The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation,
-    computed from the robot's limits and the config, should be between 0.01 and 10, and above 1 % of the median of the
-    other terms of its group. An observation is not checked if all networks that receive it normalise their inputs.
-    Source: Andrychowicz and others (2021, "What matters in on-policy reinforcement learning?") recommend input
-    normalisation.
+    computed from the robot's limits and the config, should be between 0.01 and 10, and above 1 % of the median in its
+    group. Observations that are only for networks with normalised inputs are not checked. Source: Andrychowicz and
+    others (2021, "What matters in on-policy reinforcement learning?") recommend input normalisation.
     """
     inputs = {term.path: (signal_size(case, term) or 0.0) * _scale(term) for term in case.terms("observations")}
     for term in case.terms("observations"):
@@ -192,9 +191,8 @@ def observation_scale(case: Case) -> Iterator[Finding]:
         networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
         if bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks):
             continue
-        size, scale, usual = signal_size(case, term), _scale(term), median(others) if others else 1.0
-        is_faint = size is not None and size * scale <= _SMALLEST * usual
-        if size is None or size == 0.0 or (_SMALLEST <= size * scale <= _LARGEST and not is_faint):
+        size, scale, usual = signal_size(case, term), _scale(term), median(others or [1.0])
+        if not size or _SMALLEST * max(1.0, usual) < size * scale <= _LARGEST:
             continue
         fitting = at_most(1.0 / size)
         message = f"values of up to {size:.3g} times a scale of {scale:g} reach the network as {size * scale:.3g}"

@@ -10,7 +10,7 @@ import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.managers.non_finite import ACTIONS, LARGEST_ACTION, POLICY
+from wheelleg_exp.managers.non_finite import ACTIONS, POLICY
 from wheelleg_exp.rl.determinism import one_thread
 from wheelleg_exp.rl.options import Agent
 
@@ -46,8 +46,7 @@ class FailureCount:
             others = f" ({len(self.by_key) - 1} more keys others)" if len(self.by_key) > 1 else ""
             message = f"numbers of this key were not finite and ended {count} episodes{others} {when}"
             if key == ACTIONS:
-                key, what = POLICY, f"NaN, inf, or above {LARGEST_ACTION:g}"
-                message = f"the policy has diverged: actions that are {what} ended {count} episodes{others} {when}"
+                key, message = POLICY, f"the policy has diverged: its actions ended {count} episodes{others} {when}"
             expected = f"at most {self._allowed} with {self._num_envs} environments (agent.max_non_finite)"
             raise SimulationFailure(message, key=key, expected=expected, evidence=self._evidence)
 

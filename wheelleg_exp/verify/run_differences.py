@@ -176,8 +176,7 @@ def environment_differences(
         if ones is not None and others is not None:
             for name in sorted({*ones, *others} - set(unknown)):
                 one, other = ones.get(name, []), others.get(name, [])
-                # A run of an earlier release lacks some versions, and two runs can import different modules.
-                if one != other and (section not in SECTIONS[:2] or (one and other)):
+                if one != other and (section not in SECTIONS[:2] or (one and other)):  # A missing module is unknown.
                     x, y = (values[0] if len(values) == 1 else values or None for values in (one, other))
                     allows = _allows(section, name, one, other, (a, b))
                     found.append(FactDifference(section, name, x, y, allows, forbids=section == "modules"))

@@ -333,8 +333,7 @@ def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, A
 def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigError:
     name = dotted(keys)
     message, where = "there is no such key in the run's parameters", f"override {text}"
-    if text.startswith(f"{name}=") and is_settable(tree, tuple(keys)):
-        return ConfigError("the run does not set this key", key=name, where=where, expected=f"+{text}")
-    expected = "an existing key; config groups can only be selected for a new run"
+    is_unset = text.startswith(f"{name}=") and is_settable(tree, tuple(keys))
+    expected = f"+{text}" if is_unset else "an existing key; config groups can only be selected for a new run"
     nearest = nearest_path(name, [dotted(path) for path in node_paths(tree)])
     return ConfigError(message, key=name, where=where, expected=expected, nearest=nearest)

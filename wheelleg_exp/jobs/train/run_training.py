@@ -58,8 +58,6 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     agent = training.recipe.config["agent"]
     total, started = int(agent["max_iterations"]), time.perf_counter()
     stuck = StuckCurricula()
-    for line in training.earlier:
-        list(stuck.take(line["iteration"], line["scalars"]))  # The warnings were shown before the resume.
     ending = ending_as(SimulationFailure)
     with training.lock, training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
         results |= (before := _earlier_results(training.earlier))
