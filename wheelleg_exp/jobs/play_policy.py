@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,14 +109,14 @@ def prepare_policy(
     return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
-def _settings_read(tree: Tree) -> Any:
+def _settings_read(tree: Mapping[str, Any]) -> Any:
     """Return the settings that a play reads: of ``agent``, the policy's network and the number of accepted failures."""
     agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
     return {**_in_conditions(tree), "agent": agent}
 
 
-def _in_conditions(tree: Tree) -> Tree:
-    return tree if tree["play"]["conditions"] == "training" else {**tree, "env": without_disturbances(tree["env"])}
+def _in_conditions(tree: Mapping[str, Any]) -> Tree:
+    return {**tree, "env": without_disturbances(tree["env"])} if tree["play"]["conditions"] != "training" else {**tree}
 
 
 @dataclass(frozen=True)

@@ -252,12 +252,12 @@ def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> I
                 names = dict.fromkeys(key[depth] for key in earlier if key[:depth] == path and len(key) > depth)
                 empty.append((path, value, show_file(file.file, line), names))
         earlier += [(*package, *keys) for keys in lookup.node_paths(file.content)]
-    for path, value, where, names in (entry for entry in empty if entry[-1]):
+    for path, value, where, inside in (entry for entry in empty if entry[-1]):
         what = (
             "the key has no value, and removes" if value is None else "an empty mapping changes nothing: it merges with"
         )
         expected = "null, which removes all of them, or a value for each unwanted key"
-        yield ConfigError(f"{what} {', '.join(names)}", key=dotted(path), where=where, expected=expected)
+        yield ConfigError(f"{what} {', '.join(inside)}", key=dotted(path), where=where, expected=expected)
 
 
 def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
