@@ -170,7 +170,7 @@ def test_the_old_run_is_reported(old_run, answered):
 
 @pytest.mark.slow
 def test_the_old_policy_is_played(old_run, answered):
-    figures = answered("play", "latest", "env.num_envs=4")["figures"]
+    figures = answered("play", "latest", "env.num_envs=4", "play.conditions=training")["figures"]
     assert (figures["episodes"], figures["survival"]) == (4, 0.0)
     if of_this_cpu(old_run):
         assert figures["mean_return"] == -4.322476863861084
