@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TypeVar, cast
 
 from wheelleg_exp.errors import (
     EXIT_FAILED,
@@ -37,11 +37,13 @@ from wheelleg_exp.errors import (
     SimulationFailure,
     WheellegError,
 )
-from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.machine import own_environ, prepare_threads, used_memory
 from wheelleg_exp.stop_request import StopRequest
 
 Event = dict[str, Any]
 _READY = b"ready\n"
+_T = TypeVar("_T")
+_SET_PATH = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer)"
 _CHUNK = 1 << 16
 _WAIT_S = 0.2
 _PATIENCE_S, _PROGRAM_PATIENCE_S, _WORKER_PATIENCE_S = 10.0, 5.0, 20.0
@@ -331,6 +333,51 @@ def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any
                 return
             target.write(answer(request))
             target.flush()
+
+
+# --- one call ---
+
+
+def call_limited(function: Callable[..., _T], *arguments: Any, key: str, seconds: int, gib: int) -> _T:
+    """Return ``function(*arguments)``, computed in a child process with limited CPU time and memory.
+
+    An exception of the function is raised here. RunDirectoryError means that the child process died, for example
+    because the file or config ``key`` needs too much time or memory.
+    """
+    request = pickle.dumps(sys.path) + pickle.dumps((seconds, gib, function, arguments))
+    # With -P, the child process imports nothing from the current folder, which can be foreign.
+    command = [sys.executable, "-P", "-c", f"{_SET_PATH}; from {__name__} import answer_call; answer_call()"]
+    child = subprocess.run(command, input=request, capture_output=True, env=own_environ(), check=False)
+    if child.returncode == -signal.SIGINT:
+        raise Interrupted
+    if child.returncode or not child.stdout:
+        slow = child.returncode == -getattr(signal, "SIGXCPU", signal.SIGKILL)
+        how = f"took more than {seconds} s of CPU time" if slow else f"ended early, with status {child.returncode}"
+        expected = f"one that needs less than {seconds} s and {gib} GiB, and code that does not end its process"
+        raise RunDirectoryError(f"the process that tried this file or config {how}", key=key, expected=expected)
+    result: _T | Exception = pickle.loads(child.stdout)
+    if isinstance(result, Exception):
+        raise result
+    return result
+
+
+def answer_call() -> None:
+    """Call the function in the request of ``call_limited``, and write its result or exception to standard output."""
+    import resource
+
+    prepare_threads()
+    target = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the result.
+    seconds, gib, function, arguments = pickle.load(sys.stdin.buffer)
+    memory = (used_memory("VmData") or 0) + (gib << 30)
+    for kind, limit in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_DATA, memory)):
+        with contextlib.suppress(ValueError):  # The hard limit of this process is lower.
+            resource.setrlimit(kind, (limit, resource.getrlimit(kind)[1]))
+    try:
+        result = function(*arguments)
+    except Exception as error:
+        result = error
+    target.write(pickle.dumps(result))
 
 
 # --- another program ---

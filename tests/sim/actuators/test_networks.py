@@ -8,7 +8,8 @@ from env.crawler import Crawl, differing
 
 from sim.actuators import torques
 from sim.small_envs import ACTUATORS, ASSETS, env_config, env_of, physics_step
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.sim.actuators import network_actuators
 
 MOTOR = {"effort_limit": 1e6, "velocity_limit": 1e6, "saturation_effort": 1e6}
 LSTM = {"_target_": ACTUATORS + "ActuatorNetLSTM", "joint_names_expr": [".*_hip"], "network_file": "nets/hip.pt"}
@@ -136,6 +137,9 @@ def test_a_networks_weights_are_in_no_state(made):
     [
         (MLP, torques.WritesAFile(), "aten::from_file"),
         (MLP, torques.RunsAtLoading(), "__setstate__"),
+        (MLP, torques.Endless(), "prim::Loop"),
+        (MLP, torques.Growing(), "rejects its inputs.*memory"),
+        (MLP, torques.Repeating(), "repeat fewer stored numbers"),
         (MLP, torques.perceptron(inputs=5), "rejects its inputs"),
         (MLP, torques.perceptron(outputs=2), "2 numbers for one joint"),
         (LSTM, torques.perceptron(), "no LSTM"),
@@ -162,3 +166,12 @@ def test_a_file_that_is_not_torchscript_is_rejected(made, tmp_path, content):
     with pytest.raises(ConfigError, match="as a TorchScript network") as caught:
         env_of(tmp_path / "rover.xml", config)
     assert "\n" not in caught.value.message
+
+
+def test_a_network_with_endless_names_is_rejected(tmp_path):
+    file = torques.written(torques.doubled(30), tmp_path / "networks" / "nets" / "hip.pt")
+    actuator = network_actuators.ActuatorNetMLP(**{name: value for name, value in MLP.items() if name != "_target_"})
+    with pytest.raises(WheellegError, match="CPU time") as caught:
+        actuator.read_files(tmp_path, "key", torch.device("cpu"))
+    assert caught.value.key == "key.network_file"
+    assert file.stat().st_size < 1 << 17

@@ -59,3 +59,50 @@ class RunsAtLoading(torch.nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return x
+
+
+class Endless(torch.nn.Module):
+    """A TorchScript module that never returns."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        while bool(x.sum() < 1):
+            x = x * 1.0
+        return x[:, :1]
+
+
+class Growing(torch.nn.Module):
+    """A TorchScript module that doubles a tensor 40 times."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        y = x.repeat(1000000, 1000)
+        return x[:, :1] + y.sum()
+
+
+class Repeating(torch.nn.Module):
+    """A perceptron with 10,000,000,000 weights that all are the same stored number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.ones(1, 1).expand(100_000, 100_000))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x[:, :1] * self.weight[0, 0]
+
+
+class Doubled(torch.nn.Module):
+    """A module that holds another module twice."""
+
+    def __init__(self, inner: torch.nn.Module) -> None:
+        super().__init__()
+        self.a = self.b = inner
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.a(x)
+
+
+def doubled(times: int) -> torch.nn.Module:
+    """Return a module in which 2^times names stand for one layer."""
+    module: torch.nn.Module = torch.nn.Linear(6, 1)
+    for _ in range(times):
+        module = Doubled(module)
+    return module

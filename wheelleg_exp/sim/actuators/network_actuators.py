@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,9 +16,10 @@ from zipfile import BadZipFile, ZipFile
 
 import torch
 
+from wheelleg_exp.child_process import call_limited
 from wheelleg_exp.constraints import Names, Natural, NotEmpty, PathBelow, Positive
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.files import read_bytes
+from wheelleg_exp.files import read_bytes, sha256
 from wheelleg_exp.paths import NETWORKS
 from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.sim.actuators.actuator_base import Delay, LimitPerJoint, PerJoint, Stream
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
 
 
 _LANGUAGE = frozenset(
-    """Constant GetAttr If ListConstruct ListUnpack Loop NumToTensor RaiseException TupleConstruct TupleIndex
+    """Constant GetAttr If ListConstruct ListUnpack NumToTensor RaiseException TupleConstruct TupleIndex
     TupleUnpack Uninitialized device dtype min max unchecked_cast""".split()  # noqa: SIM905
 )
 _OPERATIONS = frozenset(
@@ -44,6 +46,7 @@ _OPERATIONS = frozenset(
     zeros_like""".split()  # noqa: SIM905
 )
 _RUNS_AT_LOADING = b"__setstate__"
+_TRIED: set[tuple[str, bytes]] = set()  # files and settings of the networks that this process has tried
 
 
 class Network(Kept):
@@ -76,6 +79,9 @@ class Network(Kept):
             known = {"prim": _LANGUAGE, "aten": _OPERATIONS}.get(space, frozenset())
             if name not in known and name.removesuffix("_") not in known:
                 raise self._refused(f"the network '{file.name}' contains the operation '{kind}', which is not allowed")
+        weights = module.state_dict().values()
+        if any(value.numel() * value.element_size() > value.untyped_storage().nbytes() for value in weights):
+            raise self._refused(f"the network '{file.name}' has weights that repeat fewer stored numbers")
         self._module = module
 
     def _refused(self, message: str) -> ConfigError:
@@ -137,7 +143,17 @@ class ActuatorNet(DCMotor):
         self._file = network_file
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        self.network = Network(folder / NETWORKS / self._file, f"{key}.network_file", device)
+        file, key = folder / NETWORKS / self._file, f"{key}.network_file"
+        # A foreign file can make torch enumerate or compute without end, so try the network in a child process first.
+        trial = (sha256(file), pickle.dumps(self))
+        if trial not in _TRIED:
+            call_limited(self.load, file, key, torch.device("cpu"), key=key, seconds=20, gib=4)
+            _TRIED.add(trial)
+        self.load(file, key, device)
+
+    def load(self, file: Path, key: str, device: torch.device) -> None:
+        """Load the network from a file, and run it once; raise ConfigError if it cannot be used."""
+        self.network = Network(file, key, device)
 
     def _motion(self, targets: JointTargets, data: RobotData) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the position errors, rad, and the speeds, rad/s, of the actuator group's joints, both (N, k)."""
@@ -185,12 +201,15 @@ class ActuatorNetMLP(ActuatorNet):
         self._swapped = input_order == "vel_pos"
         self._input_idx = list(input_idx)
 
+    def load(self, file: Path, key: str, device: torch.device) -> None:
+        super().load(file, key, device)
+        self.network.tried(torch.zeros(2, 2 * len(self._input_idx), device=device), count=2)
+
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         super().connect(num_envs, dt, stream)
-        device, width = self.joint_ids.device, len(self._input_idx)
+        device = self.joint_ids.device
         self._steps = torch.tensor(self._input_idx, device=device)
         self._past = torch.zeros(num_envs, max(self._input_idx) + 1, 2, len(self.joint_names), device=device)
-        self.network.tried(torch.zeros(2, 2 * width, device=device), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
         fill_rows(self._past, env_ids, 0.0)
@@ -217,13 +236,15 @@ class ActuatorNetLSTM(ActuatorNet):
     Lab 2.3.2 never passes the speed to the limit, so that the limit is always that of a motor at rest.
     """
 
-    def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        super().read_files(folder, key, device)
+    def load(self, file: Path, key: str, device: torch.device) -> None:
+        super().load(file, key, device)
         layers = [value for name, value in self.network.weights().items() if name.startswith("lstm.weight_hh_l")]
         if not layers:
             expected = "a batch-first LSTM whose memory is an input and an output"
-            raise ConfigError("the network contains no LSTM named 'lstm'", key=f"{key}.network_file", expected=expected)
+            raise ConfigError("the network contains no LSTM named 'lstm'", key=key, expected=expected)
         self._layers, self._width = len(layers), int(layers[0].shape[1])
+        few = torch.zeros(2, self._layers, 2, self._width, device=device)
+        self.network.tried(torch.zeros(2, 1, 2, device=device), (few[0], few[1]), count=2)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         super().connect(num_envs, dt, stream)
@@ -231,8 +252,6 @@ class ActuatorNetLSTM(ActuatorNet):
         self._rows = (self._layers, num_envs, count, self._width)
         self._hidden = torch.zeros(self._layers, num_envs * count, self._width, device=device)
         self._cell = torch.zeros_like(self._hidden)
-        few = torch.zeros(2, self._layers, 2, self._width, device=device)
-        self.network.tried(torch.zeros(2, 1, 2, device=device), (few[0], few[1]), count=2)
 
     def reset(self, env_ids: torch.Tensor) -> None:
         for memory in (self._hidden, self._cell):
