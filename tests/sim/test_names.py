@@ -46,3 +46,22 @@ def test_wrong_expressions_are_rejected(call, given, words):
     with pytest.raises(ConfigError) as caught:
         call(given)
     assert words in str(caught.value)
+
+
+LONG = "a" * 40
+
+
+@pytest.mark.parametrize(
+    "pattern", ["(a|a)*b", "(a+)+b", "((.*)*)*b", "(a|a)" * 40 + "b", "(?=(a|aa)+b).*", "(a?){40}b", ".*" * 20 + "b"]
+)
+def test_an_expression_that_could_take_for_ever_is_refused(pattern: str) -> None:
+    with pytest.raises(ConfigError, match="too many ways"):
+        match_names(pattern, [LONG], key="k", what="joint")
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [".*(hip|knee).*", "^(?!.*ankle).*", "(FL|FR|RL|RR)_(hip|thigh|calf)(_joint)?", "[FR][LR]_.*_.*", r"\w{3,}"],
+)
+def test_usual_expressions_are_accepted(pattern: str) -> None:
+    assert match_names(pattern, ["FL_hip_joint", LONG + "_ankle"], key="k", what="joint")[1][0] == "FL_hip_joint"

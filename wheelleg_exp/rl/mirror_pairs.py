@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
+from wheelleg_exp.sim.names import compiled
 
 JOINT_PAIRS_KEY = "agent.symmetry.joint_pairs"
 _MAX_JOINT_DISTANCE = 0.02  # of the robot's size
@@ -31,7 +32,7 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
             continue
         key = f"{JOINT_PAIRS_KEY}[{expression}]"
         try:
-            matches = [match for name in names if (match := re.fullmatch(expression, name))]
+            matches = [match for name in names if (match := compiled(expression, names, key).fullmatch(name))]
             images = [match.expand(image) for match in matches]
         except (re.error, IndexError) as error:
             expected = "expressions, such as 'l(.*)': 'r\\1'"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from re import _parser  # type: ignore[attr-defined]
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -27,7 +29,7 @@ def match_names(
     owner: dict[str, str] = {}
     ordered: list[str] = []
     for pattern in patterns:
-        matched = [name for name in names if _compiled(pattern, key).fullmatch(name)]
+        matched = list(filter(compiled(pattern, names, key).fullmatch, names))
         if not matched:
             some = f"an expression that matches some of: {', '.join(names)}"
             message, nearest = f"the {what} expression '{pattern}' matches nothing", nearest_name(pattern, names)
@@ -65,7 +67,8 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
     """Return an error if a mapping from regular expressions to values leaves joints without a value."""
     if not isinstance(values, Mapping):
         return []
-    missing = [name for name in names if not any(_compiled(str(pattern), key).fullmatch(name) for pattern in values)]
+    known = [compiled(str(pattern), names, key) for pattern in values]
+    missing = [name for name in names if not any(pattern.fullmatch(name) for pattern in known)]
     message = f"no value for joint {', '.join(missing)}"
     return [ConfigError(message, key=key, expected="one value for each joint")] if missing else []
 
@@ -100,9 +103,36 @@ def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: st
     return errors
 
 
-def _compiled(pattern: str, key: str | None) -> re.Pattern[str]:
+_MOST_WAYS = 2e7  # Python tries them in about a second.
+
+
+def compiled(pattern: str, names: Iterable[str], key: str | None = None) -> re.Pattern[str]:
+    """Compile a regular expression that is matched against ``names``.
+
+    Raise ConfigError if it is invalid, or if Python could try too many ways to match the longest name.
+    """
     try:
-        return re.compile(pattern)
-    except re.error as error:
+        found = re.compile(pattern)
+        ways = _ways(_parser.parse(pattern), max(map(len, names), default=0))
+    except (re.error, RecursionError, OverflowError) as error:
         message = f"'{pattern}' is not a regular expression: {error}"
         raise ConfigError(message, key=key, expected="a regular expression") from error
+    if ways > _MOST_WAYS:
+        message = f"'{pattern}' can match a name in too many ways"
+        raise ConfigError(message, key=key, expected="a regular expression without repetitions inside of repetitions")
+    return found
+
+
+def _ways(pattern: Any, longest: int) -> float:
+    """Return an upper bound of the ways in which a parsed regular expression matches ``longest`` letters."""
+    ways = 1.0
+    for kind, value in pattern:
+        if str(kind) == "BRANCH":
+            ways *= sum(_ways(part, longest) for part in value[1])
+        elif str(kind).endswith("REPEAT"):
+            low, high = (min(int(count), longest) for count in value[:2])
+            ways *= min(_ways(value[2], longest), _MOST_WAYS) ** min(high, 40) * (high - low + 1)
+        else:
+            inner = value if isinstance(value, tuple) else (value,)
+            ways *= math.prod(_ways(part, longest) for part in inner if isinstance(part, _parser.SubPattern))
+    return ways
