@@ -23,8 +23,8 @@ from wheelleg_exp.plain_data import Unreadable, dump_yaml, json_value, yaml_valu
 
 _DEVICE_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 TEMPORARY_SUFFIX = ".tmp"
-# A file that is read completely into memory can have at most 1 GiB, a JSON file 64 MiB, and a YAML file 4 MiB.
-_LARGEST, _LARGEST_JSON, _LARGEST_YAML = 1 << 30, 1 << 26, 1 << 22
+# A file that is read completely into memory can have at most 1 GiB, a JSON file 64 MiB, and a YAML file 1 MiB.
+_LARGEST, _LARGEST_JSON, LARGEST_YAML = 1 << 30, 1 << 26, 1 << 20
 
 
 def file_error(path: Path, error: OSError, verb: str = "write") -> WheellegError:
@@ -188,7 +188,7 @@ def read_json(path: Path) -> Any:
 
 def read_yaml(path: Path) -> Any:
     """Return the YAML value in a file; raise RunDirectoryError, which names the line, if the file is not plain YAML."""
-    data = read_bytes(path, _LARGEST_YAML)
+    data = read_bytes(path, LARGEST_YAML)
     with _naming_file(path, "YAML"):
         return yaml_value(data)
 

@@ -113,3 +113,12 @@ def test_a_file_that_is_not_a_log_is_refused(tmp_path, name, content, words):
         (tmp_path / name).write_text(content)
     with pytest.raises(LogError, match=words):
         read_log(tmp_path / name)
+
+
+def test_a_small_file_with_many_rows_is_refused(tmp_path):
+    table = pa.table({"time": pa.array(np.zeros(2_000_000))})
+    with parquet.ParquetWriter(tmp_path / "log.parquet", table.schema) as writer:
+        for _ in range(60):
+            writer.write_table(table, row_group_size=2_000_000)
+    with pytest.raises(LogError, match="120,000,000 rows of 1 columns; expected at most 100,000,000 numbers"):
+        read_log(tmp_path / "log.parquet")

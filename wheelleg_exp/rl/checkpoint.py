@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.asset.file_limits import bounded_memory
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.rl.policy_average import STATE
@@ -43,26 +44,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         message = "the checkpoint does not exist"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run")
     try:
-        with zipfile.ZipFile(path) as archive:
-            require_bounded(archive)
-        with warnings.catch_warnings():  # torch warns about checkpoint files that torch.save did not write.
-            warnings.simplefilter("ignore")
-            state = torch.load(path, map_location="cpu", weights_only=True)
-        # Raise ValueError for a checkpoint with too many objects, too much nesting, or too large tensors.
-        waiting, parts, room = [(state, 0)], 0, _TIMES * path.stat().st_size + (1 << 20)
-        while waiting:
-            value, depth = waiting.pop()
-            parts += 1
-            if isinstance(value, torch.Tensor):
-                if value.layout is not torch.strided or value.device.type != "cpu":
-                    raise ValueError("the checkpoint contains a tensor that is sparse or not on the CPU")
-                room -= value.numel() * value.element_size()
-            elif isinstance(value, Mapping):
-                waiting += [(item, depth + 1) for pair in value.items() for item in pair]
-            elif isinstance(value, (list, tuple, set, frozenset)):
-                waiting += [(item, depth + 1) for item in value]
-            if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
-                raise ValueError("the checkpoint contains too many objects or too large tensors")
+        state = read_tensors(path)
     except Exception as error:  # A damaged checkpoint can raise any exception; torch runs no code from the file.
         message = "the file cannot be read as a checkpoint: it is damaged, or contains data of unknown types"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run") from error
@@ -78,6 +60,34 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         raise RunDirectoryError(message, key=str(path), expected=f"version {FORMAT_VERSION}")
     if finite:
         _require_finite(state, path)
+    return state
+
+
+def read_tensors(path: Path) -> Any:
+    """Return what ``torch.save`` wrote, as tensors in plain containers, and run no code from the file.
+
+    A damaged file raises any exception. Too many objects, too much nesting, or too large tensors raise ValueError.
+    """
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        require_bounded(archive)
+    with warnings.catch_warnings(), bounded_memory(path, _TIMES * size + (1 << 30)):
+        warnings.simplefilter("ignore")  # torch warns about checkpoint files that torch.save did not write.
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    waiting, parts, room = [(state, 0)], 0, _TIMES * size + (1 << 20)
+    while waiting:
+        value, depth = waiting.pop()
+        parts += 1
+        if isinstance(value, torch.Tensor):
+            if value.layout is not torch.strided or value.device.type != "cpu":
+                raise ValueError("the checkpoint contains a tensor that is sparse or not on the CPU")
+            room -= value.numel() * value.element_size()
+        elif isinstance(value, Mapping):
+            waiting += [(item, depth + 1) for pair in value.items() for item in pair]
+        elif isinstance(value, (list, tuple, set, frozenset)):
+            waiting += [(item, depth + 1) for item in value]
+        if parts > _MOST_PARTS or depth > _DEEPEST or room < 0:
+            raise ValueError("the checkpoint contains too many objects or too large tensors")
     return state
 
 

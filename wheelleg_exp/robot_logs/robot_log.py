@@ -30,6 +30,7 @@ AXES = {"base_ang_vel": "xyz", "projected_gravity": "xyz", "base_quat": "wxyz"}
 _SUFFIXES = (".csv", ".parquet", ".mcap")
 # The first four fields of a page header in Thrift's compact protocol: integers, of which the fourth is the checksum.
 _PAGE_WITH_CHECKSUM = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}")
+_MOST_NUMBERS = 100_000_000  # numbers in a log
 
 
 class LogError(WheellegError):
@@ -159,7 +160,11 @@ def _parquet_table(path: Path) -> tuple[pa.Table, bool]:
     The footer, which describes the columns, has no checksum: compare the facts that it states twice.
     """
     with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-        table, facts, schema = file.read(), file.metadata, file.schema
+        facts, schema = file.metadata, file.schema
+        if facts.num_rows * facts.num_columns > _MOST_NUMBERS:  # A small file can repeat a number any number of times.
+            message = f"the log has {facts.num_rows:,} rows of {facts.num_columns:,} columns"
+            raise LogError(message, key=str(path), expected=f"at most {_MOST_NUMBERS:,} numbers")
+        table = file.read()
     saved = (facts.metadata or {}).get(b"ARROW:schema")
     names = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(saved))).names if saved else table.column_names
     groups = [facts.row_group(number) for number in range(facts.num_row_groups)]

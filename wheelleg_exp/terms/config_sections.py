@@ -6,8 +6,9 @@ import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
+from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Count, Natural, Node, NonNegative, NonNegativeInterval, Positive, Share, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.config_values import describe, options_in, value_errors
@@ -97,7 +98,7 @@ class Env:
 
     num_envs: Count
     episode_length_s: Positive
-    decimation: Count
+    decimation: Annotated[int, constraints.AtLeast(1), constraints.AtMost(10_000)]
     sim: Section
     scene: Section
     robot: Section

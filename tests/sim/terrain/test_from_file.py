@@ -1,4 +1,7 @@
+import os
 import shutil
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ from matplotlib.image import imsave
 
 from sim.small_envs import ASSETS, env_config, env_of
 from sim.terrain.tiles import TERRAIN
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, WheellegError
 
 MATERIAL = {"static_friction": 0.5, "dynamic_friction": 0.4, "restitution": 0.0}
 
@@ -96,3 +99,19 @@ def test_wrong_files_are_rejected(ground, kind, file, content, words):
         np.save(ground.folder / file, content)
     with pytest.raises(ConfigError, match=words):
         ground(kind, file=file, **(FIELD if kind == "HeightField" else {"horizontal_scale": 0.1}))
+
+
+def test_a_picture_is_refused_before_it_is_decoded(ground):
+    packer = zlib.compressobj()
+    rows = b"".join(packer.compress(bytes(25_001)) for _ in range(25_000)) + packer.flush()
+    parts = ((b"IHDR", struct.pack(">IIBBBBB", 25_000, 25_000, 8, 0, 0, 0, 0)), (b"IDAT", rows), (b"IEND", b""))
+    chunks = (struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in parts)
+    (ground.folder / "wide.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    with pytest.raises(ConfigError, match="not a readable image of at most 33,554,432 pixels"):
+        ground("HeightField", file="wide.png", **FIELD)
+
+
+def test_a_pipe_is_no_ground(ground):
+    os.mkfifo(ground.folder / "pipe.png")
+    with pytest.raises(WheellegError, match="not an ordinary file"):
+        ground("HeightField", file="pipe.png", **FIELD)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +14,7 @@ import torch
 
 from wheelleg_exp.constraints import Interval, Length, NonNegative, NotEmpty, PathBelow, Positive, Share
 from wheelleg_exp.errors import ConfigError, nearest_name
+from wheelleg_exp.files import open_file
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.paths import GROUND as FOLDER
 from wheelleg_exp.sim.terrain.relief import HeightMap, Tile
@@ -23,7 +25,7 @@ from wheelleg_exp.sim.terrain.terrain_generator import add_tile
 Array = npt.NDArray[np.float64]
 Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, centre, edges, m
 Start = Annotated[Sequence[Annotated[Sequence[float], Length(2)]], NotEmpty()]
-_LARGEST = 1 << 28  # numbers in a file
+_LARGEST = 1 << 25  # numbers in a file
 
 
 class _FromFile(TerrainBase):
@@ -55,7 +57,8 @@ class _FromFile(TerrainBase):
             expected, nearest = "a file that ends in " + " or ".join(known), nearest_name(kind, known)
             message = f"'{self.file}' is not a file of a ground"
             raise ConfigError(message, key=self._key, expected=expected, nearest=nearest)
-        heights, self._centre, self._edges = known[kind](file)
+        with open_file(file):  # Refuse a pipe or a device.
+            heights, self._centre, self._edges = known[kind](file)
         self._tile = Tile(heights.astype(np.float32), boxes=False)
 
     @property
@@ -130,11 +133,15 @@ class HeightField(_FromFile):
 
     def _png(self, file: Path) -> Read:
         from matplotlib.image import imread
+        from PIL.PngImagePlugin import PngImageFile
 
         try:
+            with PngImageFile(file) as opened:  # does not decode the pixels
+                if math.prod(opened.size) > _LARGEST:
+                    raise ValueError
             picture = imread(file)
         except Exception as error:  # Matplotlib raises errors of many types for a damaged image file.
-            message = f"the file '{self.file}' is not a readable image"
+            message = f"the file '{self.file}' is not a readable image of at most {_LARGEST:,} pixels"
             raise ConfigError(message, key=self._key, expected="a .png file") from error
         return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
 
