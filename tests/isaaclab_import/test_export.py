@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
@@ -14,6 +15,7 @@ from tests.isaaclab_import.test_env_mapping import converted, numbers
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env.realism import with_realism
+from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, TILES, IsaacLabEnv
 from wheelleg_exp.plain_data import tagged_yaml_value
 
@@ -104,3 +106,15 @@ def test_an_exported_run_is_imported_again(tmp_path: Path, monkeypatch: pytest.M
     first = Path("flip6/configs/task/flip6.yaml").read_text().replace("flip6", "flip7")
     second = Path("flip7/configs/task/flip7.yaml").read_text()
     assert {**yaml.safe_load(first)["env"], "num_envs": 16} == yaml.safe_load(second)["env"]
+
+
+@pytest.mark.parametrize("name", ["walk", "terrain"])
+def test_a_stock_policy_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", f"stock:{name}", "--format", "isaaclab", "-o", "lab_run"]) == 0
+    made = import_run(Path("lab_run"), ROBOT, Path("flip8"))
+    exported, again = (
+        torch.jit.load(p) for p in ("lab_run/exported/policy.pt", next(made.path.rglob("exported/*.pt")))
+    )
+    x = torch.randn(4, next(exported.parameters()).shape[1])
+    torch.testing.assert_close(again(x), exported(x), atol=1e-5, rtol=1e-5)

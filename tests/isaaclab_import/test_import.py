@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from sim.actuators import torques
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_run, write_terms
 from wheelleg_exp.cli.main import main
@@ -287,6 +288,12 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "another network": (_state(model_state_dict={"estimator.0.weight": torch.ones(1, 1)}), "another network"),
     "recurrent": (_state(model_state_dict={"memory_a.rnn.weight_ih_l0": torch.ones(2, 2)}), "recurrent"),
     "NaN": (_with_nan, "NaN"),
+    "variable": (_edit("scene.robot.spawn.usd_path", "${oc.env:HOME}"), "spawn.usd_path: .*'\\$\\{'"),
+    "variable of the agent": (_replace("params/agent.yaml", AGENT + "experiment_name: ${oc.env:HOME}\n"), "'\\$\\{'"),
+    "many steps": (_edit("decimation", 1_000_000_000), "decimation: .*at most 10000"),
+    "many lines": (_replace("params/env.yaml", ENV + "#" * (15 << 20)), "more than 1 MiB"),
+    "expression": (_edit("actions.legs.joint_names", ["(a|a)" * 30]), "too many ways"),
+    "expression of a drive": (_edit("scene.robot.actuators.legs.joint_names_expr", ["(a|a)" * 30]), "too many ways"),
     "half lags": (_edit("observations.policy.gravity.delay_max_lag", 2.5), "delay_max_lag: .*whole numbers"),
     "text for a limit": (_edit("scene.robot.actuators.legs.effort_limit_sim", "big"), "legs.joint_effort_limit"),
     "unknown joint": (_edit("scene.robot.actuators.legs.saturation_effort", {"x": 4.0}), "saturation_effort"),
@@ -314,3 +321,54 @@ def test_broken_folders(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPat
         assert ".tmp" not in str(error.value)
         assert sorted(tmp_path.iterdir()) == before
     assert not (tmp_path / "executed").exists()
+
+
+NETWORKS = {
+    "ActuatorNetMLP": {
+        **{"pos_scale": -1.0, "vel_scale": 1.0, "torque_scale": 1.0, "input_order": "pos_vel"},
+        **{"input_idx": [0, 1, 2], "effort_limit": 2.0, "velocity_limit": 30.0, "saturation_effort": 4.0},
+    },
+    "ActuatorNetLSTM": {"effort_limit": 2.0, "velocity_limit": 30.0, "saturation_effort": 4.0},
+}
+
+
+@pytest.mark.parametrize("kind", NETWORKS)
+def test_an_actuator_network_is_imported_and_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    legs = {"class_type": f"isaaclab.actuators.actuator_net:{kind}", "joint_names_expr": [".*0[12]"], **NETWORKS[kind]}
+    legs["network_file"] = "https://server/Isaac/ActuatorNets/legs.pt"
+    folder, _ = write_run(tmp_path / "run", changed(ENV, "scene.robot.actuators.legs", legs))
+    torques.written(torques.perceptron() if kind == "ActuatorNetMLP" else torques.recurrent(), folder / "legs.pt")
+    made = import_run(folder, ROBOT, tmp_path / "flip8")
+    node = yaml.safe_load((made.path / "configs/robot/flip8.yaml").read_text())["actuators"]["legs"]
+    assert (made.path / "assets" / node["network_file"]).read_bytes() == (folder / "legs.pt").read_bytes()
+    monkeypatch.chdir(made.path)
+    assert main(["play", "latest", "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
+
+
+@pytest.mark.parametrize("status", [0, 3])
+def test_a_term_cannot_end_the_import(tmp_path: Path, status: int, capsys: pytest.CaptureFixture[str]) -> None:
+    term = {"func": "my_lab.tasks.mdp.rewards:leaving", "params": {}, "weight": 1.0}
+    write_run(tmp_path / "run", changed(ENV, "rewards.leaving", term))
+    (write_terms(tmp_path / "lab") / "leave.py").write_text(
+        f"import os\n\n\ndef leaving(env):\n    os._exit({status})\n"
+    )
+    before = sorted(tmp_path.iterdir())
+    words = ["import", tmp_path / "run", "--robot", ROBOT, "--terms", tmp_path / "lab", "-o", tmp_path / "flip9"]
+    assert main([str(word) for word in words]) == 2
+    assert f"with status {status}" in capsys.readouterr().err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_names_that_the_run_does_not_have_are_refused(tmp_path: Path) -> None:
+    folder, _ = write_run(tmp_path / "run", ENV.replace("'.*03': 0.0", "left_wheel: 0.0"))
+    (tmp_path / "names.yaml").write_text("left_wheel: l03\nleft_wheell: r03\n")
+    with pytest.raises(WheellegError, match=r"no joint or link 'left_wheell'.*did you mean 'left_wheel'\?"):
+        import_run(folder, ROBOT, tmp_path / "flip", names=tmp_path / "names.yaml")
+
+
+def test_the_readme_has_no_escape_codes(tmp_path: Path) -> None:
+    folder, _ = write_run(tmp_path / "run", changed(ENV, "scene.\x1b[31mcube", {"class_type": "x:\x1b]0;title\x07y"}))
+    made = import_run(folder, ROBOT, tmp_path / "flip")
+    text = (made.path / "README.md").read_text()
+    assert "cube" in text
+    assert text.replace("\n", "").isprintable()

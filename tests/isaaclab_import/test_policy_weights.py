@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import resource
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ import torch
 from tests.isaaclab_import.runs import ActorCritic, Exported, Normalizer, checkpoint
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.isaaclab_import.policy_weights import Network, read_policy
+from wheelleg_exp.isaaclab_import.run_folder import _policy
 
 
 def outputs(network: Network, x: torch.Tensor) -> torch.Tensor:
@@ -179,3 +183,50 @@ def test_bad_files(tmp_path: Path) -> None:
             (tmp_path / file).write_bytes(data)
             with pytest.raises(RunDirectoryError, match=words):
                 read_policy(tmp_path / file)
+
+
+def _doubled(count: int) -> bytes:
+    """Return a pickle of modules, each of which holds the one before it twice: 2^count names."""
+    text = b"\x80\x02c__torch__\nA\n)\x81}bq\x00"
+    for number in range(count):
+        text += b"c__torch__\nA\n)\x81}(" + b"".join(b"U\x01" + name + b"h%c" % number for name in (b"a", b"b"))
+        text += b"ubq%c" % (number + 1)
+    return text + b"."
+
+
+def _with_pickle(path: Path, text: bytes, *, script: bool) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("p/data.pkl", text)
+        archive.writestr("p/version", "3\n")
+        archive.writestr("p/code/a.py" if script else "p/byteorder", "little")
+    return path
+
+
+MEMO = b"\x80\x02Nr\xff\xff\xff\x0f."  # a LONG_BINPUT, for which C's unpickler allocates 4 GiB
+BYTES = b"\x80\x02cbuiltins\nbytearray\n\x8a\x05\x00\x00\x00\x00\x02\x85R."  # bytearray(2**33)
+
+
+@pytest.mark.parametrize(
+    ("text", "script"), [(_doubled(60), True), (MEMO, True), (MEMO, False), (BYTES, True), (BYTES, False)]
+)
+def test_a_small_file_cannot_take_much_memory_or_time(tmp_path: Path, text: bytes, script: bool) -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(RunDirectoryError):
+        read_policy(_with_pickle(tmp_path / "policy.pt", text, script=script))
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 << 10
+
+
+def test_weights_that_repeat_one_number_are_refused(tmp_path: Path) -> None:
+    one = torch.ones(1, 1)
+    wide = {"actor.0.weight": one.expand(100_000, 100_000), "actor.0.bias": one[0].expand(100_000)}
+    torch.save({"model_state_dict": wide}, tmp_path / "model_1.pt")
+    with pytest.raises(RunDirectoryError):
+        read_policy(tmp_path / "model_1.pt")
+
+
+def test_pipes_and_devices_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "model_7.pt")
+    for path in (tmp_path / "model_7.pt", Path("/dev/zero")):
+        with pytest.raises(RunDirectoryError, match="not an ordinary file"):
+            read_policy(path)
+    assert _policy(tmp_path, {}) is None

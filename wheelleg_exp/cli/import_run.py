@@ -30,10 +30,10 @@ def run(args: argparse.Namespace) -> int:
 
     with StopRequest() as stop:
         from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, shown
-        from wheelleg_exp.isaaclab_import.make_project import import_run
+        from wheelleg_exp.isaaclab_import.make_project import import_apart
     stop.check()
     files = {"policy": args.policy, "terms": args.terms, "names": args.names}
-    made = import_run(args.source, args.robot, args.output, **files, command=args.command)
+    made = import_apart(args.source, args.robot, args.output, **files, command=args.command)
     place = os.path.relpath(made.path)
     print(f"created {place}: {made.report.counts()}")
     for outcome in (CODE, ASSUMED, DROPPED):

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from wheelleg_exp.asset.robot_description import Dof
-from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.isaaclab_import.import_report import (
     ASSUMED,
     DROPPED,
@@ -25,7 +25,7 @@ from wheelleg_exp.isaaclab_import.import_report import (
 )
 from wheelleg_exp.isaaclab_import.term_mapping import TermMapping, UserTarget, entity, last_name, parameters_of
 from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, PATTERNS, PIT_NAMES, TILES
-from wheelleg_exp.sim.names import values_by_name
+from wheelleg_exp.sim.names import compiled, values_by_name
 
 Tree = Mapping[str, Any]
 _DRAWN = "nothing is drawn during training"
@@ -87,7 +87,7 @@ class EnvMapping:
     """Converts one ``env.yaml``.
 
     ``dofs`` are the robot file's joints by name, and ``links`` the names of its links. ``names`` maps the run's names
-    of joints and links to other names in the robot file.
+    of joints and links to other names in the robot file; ``directory`` is the folder of networks in the asset folder.
 
     ``user_target`` returns the target of a function of the author, such as ``my_robot.rewards.energy``, or None if its
     code is unknown. After ``convert``, ``robot`` and ``env`` contain the config, and ``lost`` the names of observation
@@ -102,7 +102,9 @@ class EnvMapping:
         report: ImportReport,
         names: Mapping[str, str] | None = None,
         links: Iterable[str] = (),
+        directory: str = "networks",
     ) -> None:
+        self._directory = directory
         self._names = _Names(names or {}, dofs, links)
         self._root = Section(self._names.applied(tree), "", report)
         self._dofs, self._user_target, self._report = dofs, user_target, report
@@ -142,6 +144,7 @@ class EnvMapping:
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)
         root.finish()
+        self._names.require_used()
 
     def _newton(self, part: Section) -> None:
         """Take over the settings of MuJoCo's solver, with which Isaac Lab 3.0 can simulate, and report the others."""
@@ -249,7 +252,7 @@ class EnvMapping:
         spawn.finish("the robot file is not changed; PhysX's limits of bodies have no counterpart", skip=_SPAWN_DROPPED)
         self.robot["actuators"] = {name: self._actuator(node, gains or {}) for name, node in actuators.sections()}
         driven = [text for node in self.robot["actuators"].values() for text in _listed(node["joint_names_expr"])]
-        free = [name for name in self._dofs if not _matches(driven, name)]
+        free = [name for name in self._dofs if name not in _matching(driven, self._dofs)]
         if free:
             text = f"no actuator drives {', '.join(free)}: these joints of the robot file move freely"
             self._report.add("scene.robot.actuators", ASSUMED, text)
@@ -261,7 +264,7 @@ class EnvMapping:
         node["joint_names_expr"] = part.take("joint_names_expr", [".*"])
         accepted, expressions = parameters_of(node["_target_"], part.key), _listed(node["joint_names_expr"])
         self._require_joints(expressions)
-        joints = [name for name in self._dofs if _matches(expressions, name)]
+        joints = _matching(expressions, self._dofs)
         # Isaac Lab 3.0 has ``actuator_effort_limit`` and ``joint_effort_limit`` instead of ``effort_limit(_sim)``.
         effort, velocity = part.take("effort_limit"), part.take("velocity_limit")
         engine_effort, engine_velocity = (
@@ -285,8 +288,9 @@ class EnvMapping:
             node["effort_limit"] = _smaller(part.key, node["effort_limit"], engine_effort, joints)
         network = part.take("network_file")
         if network is not None:
-            node["network_file"] = re.split(r"[/\\]", str(network))[-1]
-            self.networks.append(node["network_file"])
+            name = re.split(r"[/\\]", str(network))[-1]
+            self.networks.append(name)
+            node["network_file"] = f"{self._directory}/{name}"
         part.drop(["dynamic_friction"], "MuJoCo has one friction per joint")
         for name, value in part.take_if_known(accepted).items():
             node[name] = _per_joint(value, f"{part.key}.{name}") if isinstance(value, Mapping) else value
@@ -308,7 +312,7 @@ class EnvMapping:
 
     def _require_joints(self, expressions: Iterable[str]) -> None:
         """Raise ConfigError if an expression matches no joint of the robot file."""
-        unknown = [text for text in expressions if self._dofs and not any(re.fullmatch(text, n) for n in self._dofs)]
+        unknown = [text for text in expressions if self._dofs and not _matching([text], self._dofs)]
         if unknown:
             message = f"the robot file has no joint {', '.join(unknown[:5])}"
             expected = f"the robot of the run, or --names FILE; the file has {', '.join(self._dofs)}"
@@ -462,6 +466,16 @@ class _Names:
             message = f"the robot file has no joint or link '{unknown[0]}'"
             raise ConfigError(message, key="--names", expected=", ".join(existing))
         self._table = table
+        self._used: set[str] = set()
+        self._expressions: dict[str, None] = {}
+
+    def require_used(self) -> None:
+        """Raise ConfigError for a name in the table that no expression of the run matches."""
+        for old in self._table:
+            if old not in self._used:
+                message, known = f"the run names no joint or link '{old}'", list(self._expressions)
+                expected = "a name that matches one of " + ", ".join(known)
+                raise ConfigError(message, key="--names", expected=expected, nearest=nearest_name(old, known))
 
     def applied(self, value: Any, kind: str = "") -> Any:
         """Return ``value`` with new names; ``kind`` is ``joint`` or ``link`` if the value contains such names."""
@@ -487,9 +501,11 @@ class _Names:
         known = self._known.get(kind, [])
         table = {old: new for old, new in self._table.items() if new in known}
         try:
-            found = [] if expression == ".*" else [new for old, new in table.items() if re.fullmatch(expression, old)]
-            matches = any(re.fullmatch(expression, name) for name in known)
-        except re.error:
+            found = [] if expression == ".*" else [table[old] for old in _matching([expression], table)]
+            matches = bool(_matching([expression], known))
+            self._expressions |= {expression: None} if kind else {}
+            self._used |= set() if expression == ".*" else {*_matching([expression], table)}
+        except ConfigError:
             return [expression]
         return [*found, expression] if matches or not found else found
 
@@ -533,8 +549,9 @@ def _per_joint(value: Any, key: str) -> Any:
     return {str(name): float(number) for name, number in value.items()} if isinstance(value, Mapping) else value
 
 
-def _matches(expressions: Iterable[str], name: str) -> bool:
-    return any(re.fullmatch(expression, name) for expression in expressions)
+def _matching(expressions: Iterable[str], names: Collection[str]) -> list[str]:
+    known = [compiled(expression, names) for expression in expressions]
+    return [name for name in names if any(pattern.fullmatch(name) for pattern in known)]
 
 
 def _listed(expressions: Any) -> list[str]:

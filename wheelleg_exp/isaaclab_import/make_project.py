@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ import torch
 from wheelleg_exp import packages as projects
 from wheelleg_exp.asset.convert_robot import read
 from wheelleg_exp.build import build_env
+from wheelleg_exp.child_process import call_limited
 from wheelleg_exp.config.checking.find_mistakes import compose_valid, find_mistakes
 from wheelleg_exp.config.config_errors import raise_all
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.files import for_people, temporary_folder, write_bytes
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError, printable
+from wheelleg_exp.files import for_people, read_bytes, temporary_folder, write_bytes
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent, is_runner
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
 from wheelleg_exp.isaaclab_import.deploy_folders import as_isaac_lab
@@ -48,6 +50,19 @@ class Imported:
     run: Path | None
     what: str
     report: ImportReport
+
+
+def import_apart(source: Path, robot: Path, place: Path, **options: Any) -> Imported:
+    """Call ``import_run`` in a child process, because the author's code can end the process or use all memory."""
+    path = require_place(place)
+    try:
+        importing = partial(import_run, source, robot, place, **options)
+        return call_limited(importing, key=str(source), seconds=600, gib=8)
+    except BaseException:
+        shutil.rmtree(path, ignore_errors=True)
+        with temporary_folder(path):  # removes the draft of a dead process
+            pass
+        raise
 
 
 def import_run(
@@ -90,7 +105,7 @@ def import_run(
         _try_env(path, task, weights, report)
         if weights is not None:
             run, what = _write_run(path, weights, mapping.lost, command, display, report)
-        write(path, {"README.md": _readme(path.name, folder, what, report)})
+        write(path, {"README.md": printable(_readme(path.name, folder, what, report))})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
         raise
@@ -115,7 +130,9 @@ def _convert(
         if folder.kind != "env.yaml":
             tree = as_isaac_lab(folder, robot, dofs, report)
         clip = tree.pop("clip_actions", None)
-        mapping = EnvMapping(tree, dofs, author.target, report, names, [body.name for body in bodies])
+        mapping = EnvMapping(
+            tree, dofs, author.target, report, names, [body.name for body in bodies], robot.parent.name
+        )
         mapping.convert()
         if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
             mapping.robot["joint_order"] = folder.joint_order
@@ -252,7 +269,7 @@ def _copy_network(name: str, folders: Sequence[Path], to: Path) -> None:
     if found is None:
         message = f"the run has an actuator with the network '{name}'"
         raise ConfigError(message, key="network_file", expected=f"this file in {folders[0]}")
-    shutil.copyfile(found, to / name)
+    write_bytes(to / name, read_bytes(found))
 
 
 def _without_failing_term(path: Path, task: dict[str, Any], error: WheellegError, report: ImportReport) -> bool:

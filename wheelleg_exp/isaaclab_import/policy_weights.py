@@ -7,9 +7,9 @@ the observation. Isaac Lab writes such policies for its locomotion tasks.
 from __future__ import annotations
 
 import io
+import math
 import pickle
 import re
-import warnings
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -20,9 +20,12 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.files import open_file, read_bytes
 from wheelleg_exp.isaaclab_import.run_folder import LFS
 from wheelleg_exp.plain_data import require_bounded
+from wheelleg_exp.rl.checkpoint import read_tensors
 
+_LONGEST_PREFIX = 1_000  # letters of the names of all modules that contain a module
 _EPSILON = 1e-2  # rsl_rl divides by the standard deviation plus this number.
 _LAYER = re.compile(r"(?:fc)?(\d+)\.(weight|bias)")
 _CONSTANT = re.compile(r"(alpha|negative_slope) : Final\[float\] = ([\d.e-]+)")  # in the code of a TorchScript file
@@ -85,11 +88,8 @@ class PolicyWeights:
 
 def read_policy(path: Path) -> PolicyWeights:
     """Read a policy file. RunDirectoryError means that the file is damaged, or contains another kind of network."""
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(len(LFS))
-    except OSError as error:
-        raise RunDirectoryError(f"the policy cannot be read: {error.strerror}", key=str(path)) from error
+    with open_file(path) as stream:
+        start = stream.read(len(LFS))
     if start == LFS:
         message = "the file is a pointer of Git LFS, not the policy"
         raise RunDirectoryError(message, key=str(path), expected="git lfs pull")
@@ -109,9 +109,7 @@ def _tensors(path: Path) -> PolicyWeights:
             code = [name for name in archive.namelist() if "/code/" in name]
             if code:
                 return _from_torchscript(path, archive, code[0].split("/code/")[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        state = torch.load(path, map_location="cpu", weights_only=True)
+    state = read_tensors(path)
     if not isinstance(state, Mapping):
         raise RunDirectoryError("the file contains no networks", key=str(path), expected=_EXPECTED)
     whole = state.get("model_state_dict", state)
@@ -140,15 +138,19 @@ def _tensors(path: Path) -> PolicyWeights:
 class _Module:
     """A module of a TorchScript file: only its attributes are read, and its code is not."""
 
-    def parts(self, prefix: str = "") -> Iterator[tuple[str, Any]]:
-        """Yield the names and values of all attributes, also of inner modules."""
-        for name, value in vars(self).items():
-            yield f"{prefix}{name}", value
-            if isinstance(value, _Module):
-                yield from value.parts(f"{prefix}{name}.")
+    def parts(self) -> Iterator[tuple[str, Any]]:
+        """Yield the names and values of all attributes, also of inner modules; of a shared inner module only once."""
+        waiting, seen = [("", self)], {id(self)}
+        while waiting:
+            prefix, module = waiting.pop()
+            for name, value in vars(module).items():
+                yield f"{prefix}{name}", value
+                if isinstance(value, _Module) and id(value) not in seen and len(prefix) < _LONGEST_PREFIX:
+                    waiting.append((f"{prefix}{name}.", value))
+                    seen.add(id(value))
 
 
-class _TensorsOnly(pickle.Unpickler):
+class _TensorsOnly(pickle._Unpickler):  # pickle.Unpickler allocates as much memory as an opcode of a file requests.
     """Reads the tensors and the tree of modules of a TorchScript file; any other object is refused."""
 
     def __init__(self, archive: zipfile.ZipFile, root: str) -> None:
@@ -173,6 +175,8 @@ class _TensorsOnly(pickle.Unpickler):
 
 
 def _tensor(storage: torch.Tensor, offset: int, size: Any, stride: Any, *_: Any) -> torch.Tensor:
+    if math.prod(size) > storage.numel():
+        raise pickle.UnpicklingError("the file contains a tensor that repeats fewer stored numbers")
     return storage.as_strided(tuple(size), tuple(stride), offset)
 
 
@@ -236,7 +240,7 @@ def _from_onnx(path: Path) -> PolicyWeights:
     import onnx
     from onnx import numpy_helper
 
-    graph = onnx.load(str(path)).graph
+    graph = onnx.load_from_string(read_bytes(path)).graph
     values = {item.name: torch.tensor(numpy_helper.to_array(item)) for item in graph.initializer}
     for node in graph.node:
         if node.op_type == "Constant":

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
-from wheelleg_exp.files import read_bytes
+from wheelleg_exp.files import LARGEST_YAML, read_bytes
 from wheelleg_exp.plain_data import Unreadable, tagged_yaml_value
+from wheelleg_exp.run.run_config import require_resolved
 
-_LARGEST = 16 << 20  # bytes of a YAML file
 _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _POLICIES = ("policy.onnx", "policy.pt")
 _DESCRIPTORS = "IO_descriptors.yaml"  # Isaac Lab's description of observations and actions
@@ -82,7 +82,8 @@ def _joint_order(descriptors: Mapping[str, Any]) -> list[str] | None:
 
 def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
     """Return a folder's policy: the newest checkpoint, an exported policy, or the one that rl_sar names."""
-    numbered = {int(found[1]): item for item in root.iterdir() if (found := _CHECKPOINT.fullmatch(item.name))}
+    files = filter(Path.is_file, root.iterdir())
+    numbered = {int(found[1]): file for file in files if (found := _CHECKPOINT.fullmatch(file.name))}
     if numbered:
         return numbered[max(numbered)]
     places = [root / below / name for below in ("exported", "") for name in _POLICIES]
@@ -93,7 +94,7 @@ def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
 
 def read_mapping(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
     """Return the content of a YAML file that must be a mapping."""
-    data = read_bytes(path, _LARGEST)
+    data = read_bytes(path, LARGEST_YAML)
     if data.startswith(LFS):
         raise RunDirectoryError("the file is a pointer of Git LFS", key=str(path), expected="git lfs pull")
     try:
@@ -103,6 +104,7 @@ def read_mapping(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
         raise RunDirectoryError(f"the YAML file cannot be read: {error.problem}", where=where) from error
     if not isinstance(value, Mapping):
         raise RunDirectoryError("the file contains no mapping", key=str(path), expected=expected)
+    require_resolved(value, str(path))  # The imported config is composed, which would resolve ``${...}``.
     return dict(value)
 
 

@@ -14,7 +14,7 @@ from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
 _STOCK = re.compile(
-    r"(omni\.isaac\.lab|isaaclab)\.|"
+    r"(omni\.isaac\.lab|isaaclab|wheelleg_exp\.mdp)\.|"
     r"(omni\.isaac\.lab_tasks|isaaclab_tasks)\.(manager_based\.locomotion|core|contrib)\.velocity\.mdp\b"
 )
 # Settings of commands that only change the log and what is drawn.

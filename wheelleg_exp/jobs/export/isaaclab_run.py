@@ -24,6 +24,7 @@ from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.terms.term_binding import RESERVED, TARGET, resolve_target, signature_parameters
 
 Tree = dict[str, Any]
+_OF_POLICY = ("commands", "actions", "observations")  # Terms that a policy needs are written with their own code.
 _MDP, _TASKS = "isaaclab.envs.mdp", "isaaclab_tasks.manager_based.locomotion.velocity.mdp"
 KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum", "recorders")
 RUNNER = ("num_steps_per_env", "max_iterations", "save_interval", "clip_actions")
@@ -277,13 +278,12 @@ class IsaacLabEnv:
         module = target.__module__
         if any(node.get(parameter) for parameter in _DELAYS):
             self.notes.append(f"{key}.delay: Isaac Lab's terms have no delay")
-        if module.startswith("wheelleg_exp."):
-            parents = [parent for parent in getattr(target, "__mro__", ()) if parent.__module__ == module]
-            name = next((known for known in (name, *(p.__name__ for p in parents)) if known not in OWN_TERMS), "")
-            if not name:
-                self.notes.append(f"{key}: Isaac Lab has no {_name(node)}")
+        if module.startswith("wheelleg_exp.") and name in OWN_TERMS:
+            if kind not in _OF_POLICY:
+                self.notes.append(f"{key}: Isaac Lab has no {name}")
                 return None
-            node = self._as_parent(key, node, name)
+            self.notes.append(f"{key}: Isaac Lab has no {name}: it needs the class or function in {module}")
+        elif module.startswith("wheelleg_exp."):
             name = RENAMED.get(name, name)
             module = _TASKS if name in TASK_TERMS else _MDP
         values = self._values(key, name, node, _DELAYS)
@@ -292,15 +292,6 @@ class IsaacLabEnv:
             return {"class_type": f"{module}:{name}", **asset, **values}
         fields = {parameter: values.pop(parameter) for parameter in RESERVED[kind] if parameter in values}
         return {"func": f"{module}:{name}", "params": values, **fields}
-
-    def _as_parent(self, key: str, node: Mapping[str, Any], parent: str) -> Mapping[str, Any]:
-        """Return a node without the parameters that its parent class does not have."""
-        if parent == _name(node):
-            return node
-        known = signature_parameters(resolve_target(node[TARGET].replace(_name(node), parent), key))
-        lost = [parameter for parameter in node if parameter not in (TARGET, *known)]
-        self.notes.append(f"{key}: written as {parent}, without {', '.join(lost)}")
-        return {parameter: value for parameter, value in node.items() if parameter not in lost}
 
 
 def isaac_lab_agent(agent: Mapping[str, Any], seed: int, task: str) -> tuple[Tree, list[str]]:
