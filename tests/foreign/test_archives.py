@@ -300,6 +300,20 @@ def test_a_pipeline_that_is_resumed_runs_no_code_and_trusts_nothing(archive, pla
     give(archive, "resume", os.path.relpath(folder), status=(2, 3))
 
 
+@pytest.mark.parametrize(
+    "plant",
+    [
+        {"overrides": ["run.root=../elsewhere"]},
+        {"phase": {"overrides": ["run.root=/tmp/elsewhere"]}},
+        {"entry": {"run": "../../../elsewhere/run"}},
+    ],
+)
+def test_a_pipeline_that_is_resumed_stays_in_its_folder(archive, plant):
+    folder = archive.plant_pipeline(**plant)
+    assert "expected a path below" in give(archive, "resume", os.path.relpath(folder), status=(2,)).err
+    assert not (folder.parents[2] / "elsewhere").exists()
+
+
 def test_a_pipeline_in_a_run_is_not_read(archive):
     archive.plant_pipeline(archive.plant_run(calls=True), config_dirs=archive.configs, phase={"task": "evil"})
     said = give(archive, "resume", os.path.relpath(archive.run), "agent.max_iterations=4", status=(2,))

@@ -233,7 +233,17 @@ class PipelineIndex(_RunIndex):
             raise RunDirectoryError(f"pipeline.json is damaged: {message}", where=where, expected=expected)
         for key in mistyped_keys(index.data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
             raise RunDirectoryError(f"pipeline.json is damaged: the key '{key}' is missing or wrong", where=where)
+        for path in (index.root, *filter(None, map(index.run_of, phases))):
+            index.require_inside(path)
         return index
+
+    def require_inside(self, path: Path) -> None:
+        """Raise RunDirectoryError if ``path`` is outside the folder of runs that contains this pipeline."""
+        root = self.folder.parents[1]
+        if not Path(os.path.normpath(self.folder / path)).is_relative_to(root):
+            raise RunDirectoryError(
+                f"the pipeline names '{path}'", where=str(self.path), expected=f"a path below {root}"
+            )
 
     @property
     def root(self) -> Path:

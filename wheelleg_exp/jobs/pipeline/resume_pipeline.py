@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
-from wheelleg_exp.config.composing.compose import apply_overrides, placing
+from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing
 from wheelleg_exp.config.explaining.config_diff import Change, changes, same
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Phase
@@ -52,9 +52,12 @@ def resume_pipeline(
         declared = read_pipeline(tree)
     folders = _folders(index, config_dirs)
     for name, asked in declared.phases.items():
-        require_overrides(phase_overrides(name, asked, index.data["overrides"]), index.path)
+        words = phase_overrides(name, asked, index.data["overrides"])
+        require_overrides(words, index.path)
         if asked.gate is not None:
             require_overrides([f"protocol={asked.gate.protocol}", *asked.gate.overrides], index.path)
+        # The trainings of a foreign pipeline must not write outside of its folder of runs.
+        index.require_inside(Path(compose(words, config_dirs=folders).config["run"]["root"]).resolve())
     if list(declared.phases) != [phase["name"] for phase in index.phases]:
         message = "a resume cannot add, remove, or reorder pipeline phases"
         raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
