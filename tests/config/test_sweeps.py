@@ -187,7 +187,8 @@ def test_mistakes_of_all_jobs_are_reported_once_each(stock):
     told = _mistakes("seed=1,a,b", "env.decimation=0", "env.num_envs=1,2")
     seed = f"expected a whole number, at least 0, at most {2**63 - 1}"
     assert sorted(told) == [
-        "env.decimation: 0 is out of range (override env.decimation=0); expected a whole number, at least 1",
+        "env.decimation: 0 is out of range (override env.decimation=0); expected a whole number, at least 1, "
+        "at most 10000",
         f"seed: 'a' is not of the right type (override seed=a); {seed}",
         f"seed: 'b' is not of the right type (override seed=b); {seed}",
     ]
@@ -246,3 +247,18 @@ def test_a_launcher_that_a_file_chooses_is_checked_too(stock, edit, monkeypatch)
     assert compose_sweep(["seed=1,2"]).launcher == "joblib"
     monkeypatch.setattr(sweep, "LAUNCHERS", ("basic",))
     assert _mistakes("seed=1,2") == ["hydra/launcher: 'joblib' is not supported; expected one of basic"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["seed=range(0,100000)"], ["seed=range(0,100000000000)"], ["seed=range(0,100)", "agent.gamma=range(0,1,0.05)"]],
+)
+def test_a_sweep_of_too_many_jobs_is_refused(words):
+    with pytest.raises(ConfigError, match="the sweep has more than 1,000 jobs"):
+        compose_sweep(words)
+
+
+@pytest.mark.parametrize(("words", "option"), [("realism=[full,sensors]", "none"), ("task=[stand,walk]", "velocity")])
+def test_a_group_of_one_option_refuses_a_list(words, option):
+    with pytest.raises(ConfigError, match=f"takes one option.*one of .*{option}"):
+        compose([words])

@@ -2,15 +2,17 @@
 
 import math
 import re
+import socket
 import threading
 
 import pytest
 import torch
+from patience import PATIENCE_S
 
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Jump, Push, Reset
-from wheelleg_exp.jobs.drive.drive_page import DrivePage, keys_html
+from wheelleg_exp.jobs.drive.drive_page import DrivePage, InputServer, keys_html
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -211,3 +213,20 @@ def test_the_robot_fills_the_view_and_the_ground_follows_it(tmp_path):
     for robot, tiles in zip((x, y, 0.0), ground.position, strict=True):
         assert -1e-6 <= robot - tiles < 0.2  # Two tiles of 0.1 m repeat.
         assert tiles / 0.2 == pytest.approx(round(tiles / 0.2))
+
+
+def test_a_wrong_message_prints_no_traceback(capfd):
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    controls = Controls([])
+    with InputServer(controls, ["http://here"]) as server:
+        port = server._server.socket.getsockname()[1]
+        with connect(f"ws://127.0.0.1:{port}", origin="http://here") as page:
+            page.send("x" * 1025)
+            with pytest.raises(ConnectionClosed):
+                page.recv(timeout=PATIENCE_S)
+        with socket.create_connection(("127.0.0.1", port)) as stranger:
+            stranger.sendall(b"nonsense\r\n\r\n")
+            stranger.recv(100)
+    assert "Traceback" not in "".join(capfd.readouterr())

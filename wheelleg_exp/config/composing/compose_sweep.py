@@ -7,10 +7,12 @@ by one, in parallel processes, or in a queue.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +68,7 @@ def _is_installed(module: str) -> bool:
 
 PRIMARY = "train"
 _SWEEPERS = ("basic",)
+_MOST_JOBS = 1_000
 _OWN = re.compile(r"hydra[./](launcher|sweeper|sweep|mode)\b")
 _MULTIRUN = "hydra.mode=MULTIRUN"  # The command-line option -m means the override ``hydra.mode=MULTIRUN``.
 
@@ -146,7 +149,9 @@ def compose_sweep(
         params = (multirun.hydra.sweeper.get("params") or {}) if multirun is not None else {}
         texts = [f"{key}={value}" for key, value in params.items()]
         of_files = OverridesParser.create(config_loader=loader).parse_overrides(texts)
-        jobs = _expand(of_files + [o for o in accepted if o not in own])
+        swept = of_files + [o for o in accepted if o not in own]
+        _require_few(swept)
+        jobs = _expand(swept)
         if multirun is not None:
             mistakes += _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
@@ -255,6 +260,16 @@ def _refuse_chosen(multirun: DictConfig) -> Iterator[ConfigError]:
     if multirun.hydra.launcher.get("n_jobs") == 0:
         expected = "1, 2, ... jobs at once, or -1 for one per core"
         yield ConfigError("no job would ever run", key="hydra.launcher.n_jobs", expected=expected)
+
+
+def _require_few(parsed: Sequence[Override]) -> None:
+    """Raise ConfigError if a sweep has more than ``_MOST_JOBS`` jobs: the check of all their configs takes too long."""
+    several = [override for override in parsed if override.is_sweep_override()]
+    counts = [sum(1 for _ in islice(o.sweep_iterator(), _MOST_JOBS + 1)) for o in several]
+    if math.prod(counts) > _MOST_JOBS:
+        longest = several[counts.index(max(counts))]
+        message, expected = f"the sweep has more than {_MOST_JOBS:,} jobs", "fewer values, or several sweeps"
+        raise ConfigError(message, key=longest.key_or_group, where=where_of(longest), expected=expected)
 
 
 def _expand(parsed: Sequence[Override]) -> list[list[str]]:

@@ -115,10 +115,12 @@ def _defaults_line(file: Path, path: str) -> int | None:
 
 def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Override]) -> ConfigError:
     text = str(problem)
-    listed = next((o for o in parsed if o.package is None and isinstance(o.value(), list)), None)
-    if "appears more than once" in text and listed is not None:
+    lists = [o for o in parsed if o.package is None and isinstance(o.value(), list)]
+    needed = [o for o in lists if "appears more than once" in text or f"${{{o.key_or_group}}}" in text]
+    for listed in needed[:1]:
         key = listed.key_or_group
-        expected = f"{key}=<one option>"
+        options = loader.repository_used.get_group_options(key)
+        expected = f"{key}=<one option>, one of {', '.join(options)}"
         return ConfigError("this group takes one option", key=key, where=where_of(listed), expected=expected)
     doubled = re.match(r"Multiple values for (\S+)\. |(\S+) appears more than once", text)
     if doubled:

@@ -9,6 +9,7 @@ import copy
 import errno
 import io
 import json
+import logging
 import math
 import re
 import socket
@@ -157,8 +158,9 @@ class InputServer:
 
         self.controls, self.push = controls, 0.0
         self.next_policy: str | None = None
-        allowed: Any = list(origins)
-        self._server = serve(self._listen, LOOPBACK, port, origins=allowed, max_size=_MAX_MESSAGE, compression=None)
+        limits: Any = {"origins": list(origins), "max_size": _MAX_MESSAGE, "compression": None}
+        quiet = logging.Logger("drive", logging.CRITICAL)  # A wrong message or request must not print a traceback.
+        self._server = serve(self._listen, LOOPBACK, port, logger=quiet, **limits)
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self, title: str, help: str) -> str:
