@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -108,42 +108,3 @@ def weaken(robot: Any, gain: np.ndarray) -> None:
             ({**drive_, **{key: (own * drive_[key]).tolist() for key in ("stiffness", "damping")}}, actuators)
         )
     robot.drives = drives
-
-
-def chirp(bundle: Path, truth: Mapping[str, np.ndarray], weights: Callable[[str], str], noise: float = 1.0) -> Columns:
-    """Return the log of chirps by motors with the parameters ``truth``, by name, (J,); ``weights`` edits the scene."""
-    chirps, simulate = programs("chirps", "simulate")
-    spec = json.loads((bundle / "policy.json").read_text())
-    scene = bundle / "robot" / "weighted.xml"
-    scene.write_text(weights((bundle / "robot" / "scene.xml").read_text()))
-    robot, played = simulate.HungRobot(spec, scene), chirps.Chirps(spec)
-    fields = {"armature": "dof_armature", "friction": "dof_frictionloss", "viscous_friction": "dof_damping"}
-    for name, field in fields.items():
-        getattr(robot.model, field)[robot.qvel] = truth[name]
-    simulate.mujoco.mj_setConst(robot.model, robot.data)
-    robot.reset()
-    weaken(robot, truth["gain"])
-    sigma = {"joint_pos": 5e-4, "joint_vel": 0.02, "joint_effort": 0.01, "projected_gravity": 0.002}
-    rng, rows, dt = np.random.default_rng(0), [], spec["physics_dt"]
-    sent = [played.targets(step) for step in range(played.steps)]
-    times = np.arange(played.steps * spec["decimation"]) * dt
-    held = {kind: np.stack([t[kind] for t in sent]).repeat(spec["decimation"], axis=0) for kind in sent[0]}
-    # A target that arrives within a physics step acts for a part of this step.
-    late = {
-        kind: np.stack(
-            [np.interp(times - d, times, column) for d, column in zip(truth["delay"], values.T, strict=True)], 1
-        )
-        for kind, values in held.items()
-    }
-    for step in range(played.steps):
-        readings = {name: np.array(value, float) for name, value in robot.readings({}).items()}
-        readings["projected_gravity"] = np.array([0.0, 0.0, -1.0])
-        readings["joint_effort"] = readings["joint_effort"] * truth["effort_scale"]
-        for name, size in sigma.items():
-            readings[name] = readings[name] + noise * size * rng.standard_normal(readings[name].shape)
-        rows.append(played.row(step * played.dt, readings, step))
-        for k in range(step * spec["decimation"], (step + 1) * spec["decimation"]):
-            robot.drive({kind: values[k] for kind, values in late.items()})
-            simulate.mujoco.mj_step(robot.model, robot.data)
-        robot.data.qpos[:7], robot.data.qvel[:6] = [*robot.spec["root"]["pos"], *robot.spec["root"]["quat"]], 0.0
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}

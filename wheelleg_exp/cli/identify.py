@@ -21,6 +21,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=text)
     text = "a weight on a wheel, kg and m from the axle: l03=0.05,0.015 (repeatable); it hangs below the axle at 0 rad"
     parser.add_argument("--weight", action="append", default=[], metavar="JOINT=KG,M", help=text)
+    text = "the rate at which the robot's drives compute their torques (default: 1000)"
+    parser.add_argument("--drive-rate", type=float, default=1000.0, metavar="HZ", help=text)
     add_config_dir(parser)
     add_json(parser)
 
@@ -31,6 +33,8 @@ def run(args: argparse.Namespace) -> int:
     output = args.output or Path(f"{args.robot}_identified.yaml")
     if not re.fullmatch(r"(?!null|true|false|yes|no|on|off)[A-Za-z][\w-]*\.yaml", output.name):
         raise UsageError(f"'{output.name}' is not a name of a profile", key="-o", expected="such as my_robot.yaml")
+    if not 1 <= args.drive_rate <= 1e5:
+        raise UsageError(f"{args.drive_rate:g} is not a rate of drives", key="--drive-rate", expected="1 to 100000 Hz")
 
     from wheelleg_exp.build import prepare_asset
     from wheelleg_exp.config.composing.compose import compose
@@ -52,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         if sys.stderr.isatty():
             styled(sys.stderr).write(f"\r{line}  ")
 
-    found = identify(log, config["env"], mjcf, weights, progress)
+    found = identify(log, config["env"], mjcf, weights, args.drive_rate, progress)
     text = profile_text(found, args.robot, output.stem, args.log.name, found.groups)
     write_new(output, text.encode())
     if args.json:

@@ -21,7 +21,10 @@ def profile_text(found: Identified, base: str, name: str, log: str, groups: Mapp
     """
     values = {(p.joint, p.name): p for p in found.parameters}
     lines = ["# @package env.robot", f"# Like `{base}`, with motors identified from {printable_line(log)}."]
-    lines += ["# The comments contain 95 % confidence intervals.", "defaults:", f"  - {base}", "  - _self_"]
+    lines += ["# The comments contain 95 % confidence intervals."]
+    lines += [f"# The values are those of continuous joints whose drives compute torques at {found.drive_rate:.4g} Hz."]
+    lines += ["# A physics step of training adds damping to them: the shorter the step (sim=fine), the less."]
+    lines += ["defaults:", f"  - {base}", "  - _self_"]
     lines += [f"profile: {name}", "actuators:"]
     for group, joints in groups.items():
         lines.append(f"  {group}:")

@@ -1,50 +1,72 @@
 """Identify the motors of a robot from a log of chirps: the parameters with which the simulation repeats the log.
 
 The robot's base is fixed in the simulation, and the drives follow the log's targets. For each driven joint, a
-least-squares fit (scipy's trust region) finds six parameters: armature, Coulomb friction, viscous friction, gain (a
-factor on stiffness and damping), delay of the targets, and effort scale (logged effort / torque of the motor). The
-residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All joints are fitted
-together, because gravity and the reactions between links tell the torque of a motor from its inertia.
+least-squares fit (scipy's trust region) finds seven parameters: armature, Coulomb friction, viscous friction, gain (a
+factor on stiffness and damping), delay of the targets, effort scale (logged effort / torque of the motor), and latency
+of the feedback. The residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All
+joints are fitted together, because gravity and the reactions between links separate a motor's torque from its inertia.
+
+A drive computes torques at its own rate, often 1 kHz, and its damping is small only on this time scale: with the
+implicit integration of a training's physics step, gains and friction have to be wrong to repeat a log. Here, one
+physics step (semi-implicit Euler) is one period h of the drives, whose torques are explicit. A joint that moves
+continuously under torques that are constant for h equals this joint with damping kd - kp L and positions q - L q' for
+the latency L = h/2. Other values of L, -h to h, are drives that react faster or later than at the assumed rate.
 
 The state at the start of each chirp is measured with noise too. At the end, a Gauss-Newton step treats the errors of
-the start states as further unknowns with the deviation of their noise, eliminates them, and gives the 95 % confidence
-intervals x ± 1.96 sqrt(s² diag(N⁻¹)): N = JᵀJ - Σ Bᵢ (SᵢᵀSᵢ + P)⁻¹ Bᵢᵀ with Bᵢ = JᵀSᵢ, the Jacobians J of the residuals
-r (n,) for the p parameters and Sᵢ for the start state of chirp i, the inverse variances P of the start states, and
-s² = rᵀr / (n - p). The intervals assume white noise and a model that can repeat the log.
+the start states as further unknowns with the deviation of their noise, and eliminates them: from the residuals r (n,)
+and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and S (SᵀS + P)⁻¹ Sᵀ J, with the Jacobian S
+for the start states and their inverse variances P. The result is r* and J*. The 95 % confidence intervals come from the
+larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and s² = rᵀr / (n - p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the
+sums g of J* r* over each 0.25 s of a chirp, which are large if the model differs from the robot. Because the error of a
+model is systematic, the half width is also multiplied by the joint's error / noise if this is above 1.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
-from wheelleg_exp.errors import not_one_of
+from wheelleg_exp.errors import EXIT_FINDING, not_one_of
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of
 from wheelleg_exp.sim.actuators import DelayedPDActuator
+from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.robot_model import RobotLayout
 
-PARAMETERS = ("armature", "friction", "viscous_friction", "gain", "delay", "effort_scale")
-UNITS = dict(zip(PARAMETERS, ("kg·m²", "N·m", "N·m·s/rad", "1", "s", "1"), strict=True))
+PARAMETERS = ("armature", "friction", "viscous_friction", "gain", "delay", "effort_scale", "latency")
+UNITS = dict(zip(PARAMETERS, ("kg·m²", "N·m", "N·m·s/rad", "1", "s", "1", "s"), strict=True))
+DRIVE_RATE = 1000.0  # Hz
 READINGS = ("joint_pos", "joint_vel", "joint_effort")
-_REST_S, _SKIPPED_S, _HEIGHT = 0.3, 0.05, 10.0
+_REST_S, _SKIPPED_S, _BLOCK_S, _HEIGHT = 0.3, 0.05, 0.25, 10.0
+_CHUNK = 32  # control steps per call of MuJoCo, which bounds the memory
 _AVERAGED = 6  # rows
-_MOST_FITS, _BAD = 4, 1.5  # a fit is bad if its error is larger than 1.5 times the noise
+_MOST_ERROR = 5.0  # times the noise of a joint's readings
+_MOST_FITS, _BAD = 4, 3.0  # a fit is bad if its error is larger than 3 times the noise
 _STEP, _MOST_EVALUATIONS = 1e-3, 25
 _GRAVITY = 9.81
 # The least first guess of each unknown, because a joint without friction never sticks.
-_FIRST = (0.1, 0.5, 0.5, 0.2, 0.5, 0.2)
+_FIRST = (0.1, 0.5, 0.5, 0.2, 0.5, 0.2, -1.0)
+_PD = {"joint_names_expr", "stiffness", "damping", "effort_limit", "velocity_limit", *PARAMETERS[:3]}
+_TARGET = {"_target_": "wheelleg_exp.sim.actuators.ImplicitActuator"}
 _LEAST_LOAD = 0.005  # least torque of gravity, as a share of the effort limit, from which an effort scale is found
+
+
+class UnlikeModel(LogError):
+    """The model with the best motor parameters does not repeat the log."""
+
+    exit_code = EXIT_FINDING
 
 
 @dataclass(frozen=True)
@@ -71,7 +93,8 @@ class Identified:
     held_out: tuple[float, float]
     pieces: tuple[int, int]
     drives: Mapping[str, Any]
-    physics_dt: float
+    physics_dt: float  # of the config, s
+    drive_rate: float  # of the simulation, Hz
     groups: Mapping[str, list[str]]  # the joints of each actuator group
     delayed: frozenset[str]  # the actuator groups whose delay is ``min_delay`` and ``max_delay``
 
@@ -95,47 +118,73 @@ def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: floa
 
 
 class ChirpSimulation:
-    """P simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log."""
+    """N simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log.
+
+    Each drive is a PD controller that computes its torque at ``drive_rate`` (Hz, rounded to a multiple of the control
+    rate), which is also the rate of the physics steps.
+    """
 
     def __init__(
-        self, env: Mapping[str, Any], mjcf: Path, num_envs: int, gravity: Numbers, weights: Mapping[str, Weight]
+        self,
+        env: Mapping[str, Any],
+        mjcf: Path,
+        num_envs: int,
+        gravity: Numbers,
+        weights: Mapping[str, Weight],
+        drive_rate: float,
     ) -> None:
         found = copy.deepcopy(dict(env))
+        self.step_dt = found["sim"]["dt"] * found["decimation"]
+        self.substeps = max(1, round(self.step_dt * drive_rate))
         found["robot"]["init_state"] |= {"pos": [0.0, 0.0, _HEIGHT], "rot": [1.0, 0.0, 0.0, 0.0]}
-        found["sim"] |= {"gravity": gravity.tolist()}
+        dt = self.step_dt / self.substeps
+        found["sim"] |= {
+            "gravity": gravity.tolist(),
+            "dt": dt,
+            "integrator": "euler",
+            "engine": "mujoco",
+            "device": "cpu",
+        }
         found["scene"] |= {"sensors": {}}
-        for group in (group for group in found["robot"]["actuators"].values() if group is not None):
-            group.pop("delay", None)
-            group |= dict.fromkeys({"min_delay", "max_delay"} & group.keys(), 0)
+        for name, group in found["robot"]["actuators"].items():
+            if group is not None:
+                drive = {key: value for key, value in group.items() if key in _PD}
+                found["robot"]["actuators"][name] = {"effort_limit": 1e9, "velocity_limit": 1e9, **drive, **_TARGET}
         self.scene = SceneManager(found, mjcf, num_envs).scene
         for joint, (mass, radius) in weights.items():
             if joint not in (known := self.scene.robot.joint_names):
                 raise not_one_of(f"the robot has no joint '{joint}'", joint, known, key="--weight")
             _add_weight(self.scene.spec, self.scene.robot.layout, joint, mass, radius)
+        self.scene.spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
         self.scene.play()
-        self.robot, self.sim, self.decimation = self.scene.robot, self.scene.sim, int(found["decimation"])
-        self.dt = self.scene.physics_dt
+        self.robot, self.sim = self.scene.robot, cast(BatchEngine, self.scene.sim)
         self.names = list(self.robot.joint_names)
-        self.driven = sorted(j for group in self.robot.actuators.values() for j in group.joint_ids.tolist())
+        self.driven = self.robot.layout.actuated_ids.tolist()  # in the order of MuJoCo's actuators
         self.drives = {key: self._of_joints(key) for key in ("stiffness", "damping", "effort_limit")}
 
-    def _of_joints(self, key: str) -> torch.Tensor:
-        values = torch.zeros(len(self.names))
+    def _of_joints(self, key: str) -> Numbers:
+        values = np.zeros(len(self.names))
         for group in self.robot.actuators.values():
             values[group.joint_ids] = getattr(group, key)[0]
         return values
 
+    @property
+    def trees(self) -> NDArray[np.int32]:
+        """The kinematic tree of each joint, (J,): trees that move independently."""
+        model = self.sim.model
+        return model.dof_treeid[self.robot.layout.dof_ids.numpy()] * int(not model.neq and not model.ntendon)
+
     def start_values(self, delays: Mapping[str, float]) -> Numbers:
-        """Return the parameters of the config, (driven joints, 6); ``delays`` (s) by actuator group."""
+        """Return the parameters of the config, (driven joints, 7); ``delays`` (s) by actuator group."""
         data, values = self.robot.data, np.ones((len(self.names), len(PARAMETERS)))
         fields = (data.joint_armature, data.joint_friction_coeff, data.joint_viscous_friction_coeff)
         values[:, :3] = torch.stack([field[0] for field in fields], dim=1).numpy()
-        values[:, 4] = 0.0
+        values[:, [4, 6]] = 0.0
         for name, delay in delays.items():
             values[self.robot.actuators[name].joint_ids.numpy(), 4] = delay
         return values[self.driven]
 
-    def inertias(self) -> tuple[Numbers, Numbers]:
+    def inertias(self) -> tuple[Numbers, NDArray[np.bool_]]:
         """Return the inertia of the links that each driven joint moves, kg·m², and whether gravity loads the joint."""
         model, dofs = self.sim.model, self.robot.layout.dof_ids.numpy()[self.driven]
         data, matrix = at_default(model, self.robot), np.zeros((model.nv, model.nv))
@@ -144,55 +193,52 @@ class ChirpSimulation:
         bodies = model.jnt_bodyid[joints]
         away = np.cross(data.subtree_com[bodies] - data.xanchor[joints], data.xaxis[joints])
         load = model.body_subtreemass[bodies] * np.linalg.norm(away, axis=1) * _GRAVITY
-        effort = self.drives["effort_limit"].numpy()[self.driven]
+        effort = self.drives["effort_limit"][self.driven]
         return (matrix.diagonal() - model.dof_armature)[dofs], load > _LEAST_LOAD * effort
 
-    def play(self, values: Numbers, targets: torch.Tensor, start: torch.Tensor) -> Numbers:
-        """Return positions, speeds, and efforts of N simulations after each control step, (T, N, 3, J).
+    def play(self, values: Numbers, targets: Numbers, start: Numbers) -> Numbers:
+        """Return positions, speeds, and efforts of M <= N simulations after each control step, (T, M, 3, J).
 
-        ``values`` (N, driven joints, 6) are the motor parameters, ``targets`` (T, 3, N, J) the targets of each control
-        step, and ``start`` (N, 2, J) the joint positions and speeds before the first step.
+        ``values`` (M, driven joints, 7) are the motor parameters, ``targets`` (T, 3, M, J) the targets of each control
+        step, and ``start`` (M, 2, J) the joint positions and speeds before the first step.
         """
-        robot, numbers, driven = self.robot, torch.from_numpy(values), self.driven
-        robot.write_joint_armature_to_sim(numbers[..., 0], driven)
-        robot.write_joint_friction_coefficient_to_sim(numbers[..., 1], None, numbers[..., 2], driven)
-        gain = numbers[..., 3].float()
-        robot.write_joint_stiffness_to_sim(self.drives["stiffness"][driven] * gain, driven)
-        robot.write_joint_damping_to_sim(self.drives["damping"][driven] * gain, driven)
-        robot.reset()
-        robot.write_joint_state_to_sim(*start.float().unbind(dim=1))
-        self.scene.refresh()
-        late = numbers[..., 4] / self.dt
-        lag, share = late.floor().long(), (late - late.floor()).float()
-        rows, columns = torch.arange(len(values))[:, None], torch.tensor(driven)[None]
-        held, found = targets.repeat_interleave(self.decimation, dim=0), []
-        for step in range(len(held)):
-            now, before = ((step - lag - k).clamp(min=0) for k in (0, 1))
-            delayed = held[step].clone()
-            late_targets = torch.lerp(held[now, :, rows, columns], held[before, :, rows, columns], share[..., None])
-            delayed[:, :, driven] = late_targets.movedim(-1, 0)
-            if step % self.decimation == 0:
-                robot.begin_control_step()
-            robot.set_joint_position_target(delayed[0])
-            robot.set_joint_velocity_target(delayed[1])
-            robot.set_joint_effort_target(delayed[2])
-            self.scene.write_data_to_sim()
-            self.sim.step()
-            self.scene.update()
-            if (step + 1) % self.decimation == 0:
-                data = robot.data
-                qpos, qvel = self.sim.view("qpos"), self.sim.view("qvel")
-                joints = qpos[:, robot.layout.qpos_ids], qvel[:, robot.layout.dof_ids], data.applied_torque.double()
-                found.append(torch.stack(joints, dim=1))
-        return torch.stack(found).numpy()
+        robot, batch, driven = self.robot, self.sim.batch, self.driven
+        ids, rows, numbers = torch.arange(len(values)), np.arange(len(values)), torch.from_numpy(values)
+        robot.write_joint_armature_to_sim(numbers[..., 0], driven, ids)
+        robot.write_joint_friction_coefficient_to_sim(numbers[..., 1], None, numbers[..., 2], driven, ids)
+        stiffness, damping = (self.drives[key][driven] * values[..., 3] for key in ("stiffness", "damping"))
+        robot.write_joint_stiffness_to_sim(torch.from_numpy(stiffness).float(), driven, ids)
+        robot.write_joint_damping_to_sim(torch.from_numpy(damping - stiffness * values[..., 6]).float(), driven, ids)
+        batch.reset(rows)
+        qpos, qvel = robot.layout.qpos_ids.numpy(), robot.layout.dof_ids.numpy()
+        latency = np.zeros((len(rows), len(self.names)))
+        latency[:, driven] = values[..., 6]
+        batch.qpos[rows[:, None], qpos] = start[:, 0] + latency * start[:, 1]
+        batch.qvel[rows[:, None], qvel] = start[:, 1]
+        position, velocity, effort = targets[..., driven].swapaxes(0, 1)
+        control = stiffness * position + damping * velocity + effort
+        # A target that arrives between two physics steps acts on the first of them with the share of its time.
+        late = values[:, None, :, 4] * self.substeps / self.step_dt
+        lag, places = np.floor(late).astype(int), (rows[:, None, None], np.arange(len(driven)))
+        found = np.zeros((len(targets), len(rows), 3, len(self.names)))
+        for first in range(0, len(targets), _CHUNK):
+            part = found[first : first + _CHUNK]
+            steps = np.arange(len(part) * self.substeps)[:, None] + first * self.substeps
+            now, before = (control[(np.maximum(steps - lag - k, 0) // self.substeps, *places)] for k in (0, 1))
+            record = ("qpos", "qvel", "actuator_force")
+            made = batch.rollout(len(steps), now + (late - lag) * (before - now), record=record, ids=rows)
+            ends = [made[name][:, self.substeps - 1 :: self.substeps].swapaxes(0, 1) for name in record]
+            part[:, :, 0], part[:, :, 1], part[:, :, 2, driven] = ends[0][..., qpos], ends[1][..., qvel], ends[2]
+        found[:, :, 0] -= latency * found[:, :, 1]
+        return found
 
 
 @dataclass(frozen=True)
 class _Pieces:
     """S pieces of a log that start at rest, T rows each: targets, start states, and readings; NaN after their end."""
 
-    targets: torch.Tensor  # (T, 3, S, J)
-    start: torch.Tensor  # (S, 2, J)
+    targets: Numbers  # (T, 3, S, J)
+    start: Numbers  # (S, 2, J)
     logged: Numbers  # (T, S, 3, J), one control step later than the targets
 
     def of(self, which: slice) -> _Pieces:
@@ -204,12 +250,14 @@ def identify(
     env: Mapping[str, Any],
     mjcf: Path,
     weights: Mapping[str, Weight] = MappingProxyType({}),
+    drive_rate: float = DRIVE_RATE,
     progress: Progress = None,
 ) -> Identified:
     """Identify the motors of the robot in an ``env`` config from a log of chirps.
 
     Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
-    ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps.
+    ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps,
+    and UnlikeModel if the best simulation differs from it by more than 5 times the noise.
     """
     _chirp_starts(log)
     columns = columns_of("projected_gravity", 3, ())
@@ -218,22 +266,29 @@ def identify(
         message = "the columns projected_gravity.x, .y, .z are not a direction"
         raise LogError(message, key=str(log.path), expected="a unit vector")
     gravity = _GRAVITY * mean / np.linalg.norm(mean)
-    probe = ChirpSimulation(env, mjcf, 1, gravity, weights)
+    probe = ChirpSimulation(env, mjcf, 1, gravity, weights, drive_rate)
     pieces = _pieces(log, probe)
     half = (pieces.start.shape[0] + 1) // 2
     fitted, held_out = pieces.of(slice(half)), pieces.of(slice(half, None))
-    before = probe.start_values(_delays(env, probe.dt))
+    before = probe.start_values(_delays(env))
     free = np.broadcast_to([name != "effort_scale" for name in PARAMETERS], before.shape).copy()
-    free[:, 5] = (probe.inertias()[1] != 0) & np.isfinite(pieces.logged[:, :, 2]).any()
-    simulation = ChirpSimulation(env, mjcf, (1 + int(free.sum())) * len(fitted.start), gravity, weights)
+    free[:, 5] = probe.inertias()[1] & np.isfinite(pieces.logged[:, :, 2]).any()
+    most = 1 + max(np.bincount(probe.trees[probe.driven], free.sum(axis=1)))
+    simulation = ChirpSimulation(env, mjcf, int(most) * len(fitted.start), gravity, weights, drive_rate)
     noise = _noise(fitted.logged)
-    x = _first_fit(simulation, fitted, before, free, noise, progress)
-    errors = _errors(simulation, x[None], fitted)[0]
-    weights_of_fit = np.maximum(np.sqrt(np.nanmean(errors**2, axis=(0, 1), keepdims=True)), 0.2 * noise)
-    fit = _Fit(simulation, fitted, x, free, weights_of_fit, progress)
-    solution = fit.solve()
-    x, half_width = fit.refined(solution)
-    low, high = np.maximum(x - half_width, 0.0), x + half_width
+    # Columns with little noise, such as efforts, have narrow minima, which hide a long delay from the first fit.
+    coarse = np.maximum(noise, 0.05 * np.nanstd(fitted.logged, axis=(0, 1), keepdims=True))
+    x = _first_fit(simulation, fitted, before, free, coarse, progress)
+    own = np.sqrt(np.nanmean(_errors(simulation, x[None], fitted)[0] ** 2, axis=(0, 1), keepdims=True))
+    fit = _Fit(simulation, fitted, x, free, np.maximum(own, 0.2 * noise), progress)
+    solution = fit.solve(-1.0)
+    errors = _errors(simulation, fit.values(solution.x)[None], pieces)[0]
+    ratio = _error_ratio(log, probe.names, errors / noise)[probe.driven, None]
+    faster = (probe.substeps + 1) / probe.step_dt
+    x, half_width = fit.refined(solution, ChirpSimulation(env, mjcf, len(fitted.start), gravity, weights, faster))
+    half_width *= np.maximum(1.0, ratio)
+    low, high = x - half_width, x + half_width
+    low[:, :6] = np.maximum(low[:, :6], 0.0)
     scores = [_scores(simulation, np.stack((before, x)), part, noise) for part in (fitted, held_out)]
     parameters = [
         Parameter(probe.names[joint], name, *(float(values[row, k]) for values in (before, x, low, high)))
@@ -243,18 +298,31 @@ def identify(
     ]
     drives = {key: dict(zip(probe.names, values.tolist(), strict=True)) for key, values in probe.drives.items()}
     groups = {name: list(group.joint_names) for name, group in probe.robot.actuators.items()}
-    delayed = frozenset(name for name, group in probe.robot.actuators.items() if isinstance(group, DelayedPDActuator))
+    classes = {name: resolve_name(env["robot"]["actuators"][name]["_target_"]) for name in groups}
+    delayed = frozenset(name for name, kind in classes.items() if issubclass(kind, DelayedPDActuator))
     counts = (half, len(held_out.start))
-    return Identified(parameters, scores[0], scores[1], counts, drives, probe.dt, groups, delayed)
+    steps = env["sim"]["dt"], probe.substeps / probe.step_dt
+    return Identified(parameters, scores[0], scores[1], counts, drives, *steps, groups, delayed)
 
 
-def _delays(env: Mapping[str, Any], dt: float) -> dict[str, float]:
+def _error_ratio(log: RobotLog, names: Sequence[str], errors: Numbers) -> Numbers:
+    """Return the RMS of each joint's errors / noise, (J,); raise UnlikeModel if one is too large."""
+    found: Numbers = np.sqrt(np.nanmean(errors**2, axis=(0, 1, 2)))
+    if found.max() > _MOST_ERROR:
+        name = names[int(found.argmax())]
+        message = f"the model cannot repeat the log: the error of '{name}' is {found.max():.0f} times the noise"
+        expected = f"at most {_MOST_ERROR:g} times; check the robot file, --weight, --drive-rate, backlash, elasticity"
+        raise UnlikeModel(message, key=str(log.path), expected=expected)
+    return found
+
+
+def _delays(env: Mapping[str, Any]) -> dict[str, float]:
     """Return the mean delay of each actuator group in the config, s."""
     found = {}
     for name, group in env["robot"]["actuators"].items():
         if group is not None:
             bounds = group.get("delay") or (group.get("min_delay", 0), group.get("max_delay", 0))
-            found[name] = dt * sum(bounds) / 2
+            found[name] = env["sim"]["dt"] * sum(bounds) / 2
     return found
 
 
@@ -277,7 +345,7 @@ def _chirp_starts(log: RobotLog) -> np.ndarray:
 
 def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
     """Cut the log where all targets rest: each piece starts at rest and ends before the next one."""
-    names, step_dt = simulation.names, simulation.dt * simulation.decimation
+    names, step_dt = simulation.names, simulation.step_dt
     log.complete_table([f"target_{kind}.{name}" for kind in TARGETS[:2] for name in names])
     targets = np.stack([log.targets(kind, names) for kind in TARGETS], axis=1)
     gaps = np.flatnonzero(log.starts(step_dt)[1:]) + 1
@@ -297,8 +365,8 @@ def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
     # The readings before a start give the state at the start with less noise: a slow joint can still move a little.
     start = np.stack([logged[k - _AVERAGED + 1 : k + 1, :2].mean(axis=0) for k in starts])
     start[:, 0] += start[:, 1] * step_dt * (_AVERAGED - 1) / 2
-    chosen = torch.from_numpy(targets[np.minimum(rows, len(log) - 1)]).float()
-    return _Pieces(chosen.permute(1, 2, 0, 3).contiguous(), torch.from_numpy(start), later.swapaxes(0, 1))
+    chosen = targets[np.minimum(rows, len(log) - 1)].transpose(1, 2, 0, 3)
+    return _Pieces(chosen, start, later.swapaxes(0, 1))
 
 
 def _noise(logged: Numbers) -> Numbers:
@@ -317,16 +385,15 @@ def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shift
         shifts = np.zeros((count, 2, len(simulation.names))) if shifts is None else shifts
         pairs = zip(values, shifts, strict=True)
         return np.concatenate([_errors(simulation, value[None], pieces, shift[None]) for value, shift in pairs])
-    spare = np.arange(size) % (count * width)  # Spare simulations repeat the first ones.
-    model, piece = np.divmod(spare, width)
-    start = pieces.start[piece] + (0.0 if shifts is None else torch.from_numpy(shifts[model]))
-    played = simulation.play(values[model], pieces.targets[:, :, piece], start)[:, : count * width]
+    model, piece = np.divmod(np.arange(count * width), width)
+    start = pieces.start[piece] + (0.0 if shifts is None else shifts[model])
+    played = simulation.play(values[model], pieces.targets[:, :, piece], start)
     played = played.reshape(len(played), count, width, *played.shape[2:]).swapaxes(0, 1)
     scale = np.ones((count, 1, 1, 3, len(simulation.names)))
     scale[:, 0, 0, 2, simulation.driven] = values[..., 5]
     errors = pieces.logged - scale * played
     # The angle of a wheel counts from an arbitrary start, and only its changes matter.
-    free = (simulation.drives["stiffness"] == 0).numpy()
+    free = simulation.drives["stiffness"] == 0
     errors[:, :, :, 0, free] -= np.nanmean(errors[:, :, :, 0, free], axis=1, keepdims=True)
     return errors
 
@@ -335,10 +402,14 @@ def _first_fit(
     simulation: ChirpSimulation, pieces: _Pieces, before: Numbers, free: Numbers, noise: Numbers, progress: Progress
 ) -> Numbers:
     """Return the parameters of the best of a few fits: joints that fit badly start again, with longer delays."""
-    start, best, least = before, before, np.inf
+    tried = np.repeat(before[None], 12, axis=0)
+    tried[:, :, 4] += np.arange(12)[:, None] * simulation.step_dt / 4
+    sizes = np.nanmean((_errors(simulation, tried, pieces) / noise)[..., simulation.driven] ** 2, axis=(1, 2, 3))
+    start, best, least = before.copy(), before, np.inf
+    start[:, 4] = tried[sizes.argmin(axis=0), np.arange(len(before)), 4]
     for attempt in range(1, _MOST_FITS + 1):
         fit = _Fit(simulation, pieces, start, free, noise, progress)
-        solution = fit.solve()
+        solution = fit.solve(_FIRST)
         if solution.cost < least:
             best, least = fit.values(solution.x), solution.cost
         errors = (_errors(simulation, best[None], pieces)[0] / noise)[..., simulation.driven]
@@ -346,7 +417,7 @@ def _first_fit(
         if not bad.any():
             break
         start = np.where(bad[:, None], before, best)
-        start[bad, 4] = best[bad, 4] + (attempt - 0.5) * simulation.dt
+        start[bad, 4] = best[bad, 4] + (attempt - 0.5) * simulation.step_dt / 2
     return best
 
 
@@ -362,7 +433,7 @@ class _Fit:
     """One least-squares problem.
 
     The motion of a joint depends mostly on ratios to the gain K. The unknowns are therefore (armature + inertia of the
-    links) / K, both frictions / K, K, delay, and effort scale times K, each divided by its typical size.
+    links) / K, both frictions / K, K, delay, effort scale times K, and latency, each divided by its typical size.
     """
 
     simulation: ChirpSimulation
@@ -375,68 +446,97 @@ class _Fit:
     def __post_init__(self) -> None:
         simulation, start = self.simulation, self.start
         self.known: tuple[bytes, Numbers, Numbers] | None = None
-        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1), start.shape)[self.free]
+        self.low = np.broadcast_to((1e-3, 0.0, 0.0, 0.1, 0.0, 0.1, -1.0), start.shape)[self.free]
+        self.high = np.broadcast_to((np.inf,) * 6 + (1.0,), start.shape)[self.free]
         self.inertia = simulation.inertias()[0]
-        ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clamp(max=1e3).numpy()[simulation.driven]
+        ones, effort = np.ones(len(start)), simulation.drives["effort_limit"].clip(max=1e3)[simulation.driven]
         inertia = self.inertia + np.maximum(start[:, 0], 1e-6)
-        viscous = 0.1 * np.maximum(simulation.drives["damping"].numpy()[simulation.driven], inertia)
-        self.sizes = np.stack((inertia, 0.01 * effort, viscous, ones, ones * simulation.dt, ones), axis=1)
+        viscous = 0.1 * np.maximum(simulation.drives["damping"][simulation.driven], inertia)
+        trees, inside = self.simulation.trees, np.isfinite(self.pieces.logged)
+        # Unknowns of joints in different trees change different readings, so that one simulation can move them all.
+        own = trees[self.simulation.driven][np.nonzero(self.free)[0]]
+        self.turns = np.array([np.sum(own[:k] == tree) for k, tree in enumerate(own)])
+        self.coupled = own[:, None] == np.broadcast_to(trees, inside.shape)[inside]
+        rest = (1.0, simulation.step_dt / 2, 1.0, simulation.step_dt / simulation.substeps)
+        self.sizes = np.stack((inertia, 0.01 * effort, viscous, *np.outer(rest, ones)), axis=1)
 
     def values(self, unknowns: Numbers) -> Numbers:
-        """Return all parameters (driven joints, 6) of the unknowns of the free parameters."""
+        """Return all parameters (driven joints, 7) of the unknowns of the free parameters."""
         ratios = self.ratios(self.start)
         ratios[self.free] = unknowns
         found, gain = ratios * self.sizes, ratios[:, 3:4]
         found[:, :3] *= gain
         found[:, 0] = np.maximum(found[:, 0] - self.inertia, 1e-9)
-        found[:, 5:] = np.where(self.free[:, 5:], found[:, 5:] / gain, self.start[:, 5:])
+        found[:, 5] = np.where(self.free[:, 5], found[:, 5] / gain[:, 0], self.start[:, 5])
         return found
 
     def ratios(self, values: Numbers) -> Numbers:
-        """Return the unknowns of all parameters (driven joints, 6); ``values`` does the inverse."""
+        """Return the unknowns of all parameters (driven joints, 7); ``values`` does the inverse."""
         found, gain = values.copy(), values[:, 3:4]
         found[:, 0] += self.inertia
         found[:, :3] /= gain
-        found[:, 5:] *= gain
+        found[:, 5] *= gain[:, 0]
         return found / self.sizes
 
-    def solve(self) -> Any:
-        """Return scipy's solution."""
-        start = np.maximum(self.ratios(self.start), _FIRST)[self.free]
-        limits = {"bounds": (self.low, np.inf), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
+    def solve(self, least: Any) -> Any:
+        """Return scipy's solution from the start values, raised to ``least`` (7,)."""
+        start = np.clip(np.maximum(self.ratios(self.start), least)[self.free], self.low, self.high)
+        limits = {"bounds": (self.low, self.high), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
         residuals, jacobian = (lambda x: self._evaluate(x)[0]), (lambda x: self._evaluate(x)[1])
-        return optimize.least_squares(residuals, start, jacobian, ftol=1e-6, **limits)
+        return optimize.least_squares(residuals, start, jacobian, ftol=1e-4, **limits)
 
     def _evaluate(self, unknowns: Numbers) -> tuple[Numbers, Numbers]:
         """Return the residuals (n,) and their Jacobian (n, p) by forward differences, in one batch of simulations."""
         if self.known is None or self.known[0] != unknowns.tobytes():
-            steps = _STEP * np.maximum(1.0, np.abs(unknowns))
-            tried = np.stack([self.values(point) for point in (unknowns, *(unknowns + np.diag(steps)))])
-            errors = (_errors(self.simulation, tried, self.pieces) / self.noise).reshape(len(tried), -1)
-            errors = errors[:, np.isfinite(self.pieces.logged).ravel()]
-            self.known = (unknowns.tobytes(), errors[0], ((errors[1:] - errors[0]) / steps[:, None]).T)
+            steps, turns = _STEP * np.maximum(1.0, np.abs(unknowns)), self.turns
+            moves = np.where(turns == np.arange(turns.max() + 1)[:, None], steps, 0.0)
+            tried = np.stack([self.values(point) for point in (unknowns, *(unknowns + moves))])
+            errors = (_errors(self.simulation, tried, self.pieces) / self.noise)[:, np.isfinite(self.pieces.logged)]
+            slopes = (errors[1:] - errors[0])[turns] / steps[:, None]
+            self.known = (unknowns.tobytes(), errors[0], np.where(self.coupled, slopes, 0.0).T)
             if self.progress is not None:
                 self.progress(f"prediction error {np.sqrt(np.mean(errors[0] ** 2)):.4g} times the noise")
         return self.known[1:]
 
-    def refined(self, solution: Any) -> tuple[Numbers, Numbers]:
-        """Return all parameters (driven joints, 6) after a last step, and half the widths of their 95 % intervals."""
+    def refined(self, solution: Any, faster: ChirpSimulation) -> tuple[Numbers, Numbers]:
+        """Return all parameters (driven joints, 7) after a last step, and half the widths of their 95 % intervals.
+
+        ``faster`` simulates drives of a higher rate.
+        """
         inside, width = np.isfinite(self.pieces.logged), 2 * len(self.simulation.names)
         shifts = 1e-3 * np.eye(width).reshape(width, 2, -1)
         values = np.repeat(self.values(solution.x)[None], width, axis=0)
         moved = (_errors(self.simulation, values, self.pieces, shifts) / self.noise)[:, inside]
         starts = (moved - solution.fun).T / 1e-3
-        piece = np.broadcast_to(np.arange(inside.shape[1])[:, None, None], inside.shape)[inside]
+        # The period of the drives is a further unknown, with a deviation of half the assumed period.
+        moved = (_errors(faster, values[:1], self.pieces)[0] / self.noise)[inside]
+        slopes = np.column_stack((solution.jac, (solution.fun - moved) * faster.substeps))
+        low, high = np.append(self.low, -np.inf), np.append(self.high, np.inf)
+        time, piece, *_ = np.nonzero(inside)
         deviation = self.noise[0, 0, :2] / np.sqrt(_AVERAGED)
-        normal, slope = solution.jac.T @ solution.jac, solution.jac.T @ solution.fun
+        jacobian, errors, start = slopes.copy(), solution.fun.copy(), np.append(solution.x, 0.0)
         for number in range(inside.shape[1]):
-            own, errors = starts[piece == number], solution.fun[piece == number]
-            cross = solution.jac[piece == number].T @ own
-            weight = np.linalg.inv(own.T @ own + np.diag(1 / deviation.ravel() ** 2))
-            normal, slope = normal - cross @ weight @ cross.T, slope - cross @ weight @ own.T @ errors
-        covariance = 2 * solution.cost / (len(solution.fun) - len(solution.x)) * np.linalg.pinv(normal)
-        x = np.maximum(solution.x - np.linalg.pinv(normal) @ slope, self.low)
+            rows = piece == number
+            own = starts[rows]
+            back = np.linalg.solve(own.T @ own + np.diag(1 / deviation.ravel() ** 2), own.T)
+            jacobian[rows] -= own @ (back @ jacobian[rows])
+            errors[rows] -= own @ (back @ errors[rows])
+        normal, slope = slopes.T @ jacobian, slopes.T @ errors
+        normal[-1, -1] += 1 / 0.5**2
+        inverse = np.linalg.pinv(normal)
+        step = -inverse @ slope
+        at = (start + step <= low) | (start + step >= high)  # the bounds that the step reaches
+        step[at] = (np.clip(start + step, low, high) - start)[at]
+        step[~at] = -np.linalg.pinv(normal[~at][:, ~at]) @ (slope + normal[:, at] @ step[at])[~at]
+        block = piece * inside.shape[0] + time // round(_BLOCK_S / self.simulation.step_dt)
+        scores = jacobian * (errors + jacobian @ step)[:, None]
+        scores = np.stack([scores[block == number].sum(axis=0) for number in np.unique(block)])
+        spare = max(1, len(scores) - len(step))
+        white = max(1.0, 2 * solution.cost / (len(errors) - len(step))) * inverse
+        grouped = inverse @ scores.T @ scores @ inverse * len(scores) / spare
+        x = np.clip(start + step, low, high)[:-1]
         # The change of the parameters with the unknowns carries the covariance from the unknowns to the parameters.
         change = [(self.values(x + d) - self.values(x - d)).ravel() / 2e-6 for d in 1e-6 * np.eye(len(x))]
-        variance = np.einsum("pv,pq,qv->v", change, covariance, change).reshape(self.start.shape)
-        return self.values(x), float(stats.norm.ppf(0.975)) * np.sqrt(np.maximum(variance, 0.0))
+        both = (np.einsum("pv,pq,qv->v", change, covariance[:-1, :-1], change) for covariance in (white, grouped))
+        deviation = np.sqrt(np.maximum(*both).clip(min=0.0)).reshape(self.start.shape)
+        return self.values(x), float(stats.t.ppf(0.975, spare)) * deviation

@@ -138,13 +138,16 @@ class Robot:
 
 
 class HungRobot(Robot):
-    """The simulated robot with an immovable base, one metre above the ground."""
+    """The simulated robot with an immovable base, one metre above the ground, and drives that run at 1 kHz."""
 
     def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
         x, y, z = spec["root"]["pos"]
         super().__init__({**spec, "root": {**spec["root"], "pos": [x, y, z + 1.0]}}, scene)
         self.model.body_mass[self.root.id] *= HEAVY
         self.model.body_inertia[self.root.id] *= HEAVY
+        self.steps = max(1, round(1000 * spec["step_dt"]))
+        self.model.opt.timestep = spec["step_dt"] / self.steps
+        self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER  # explicit drives, as on a robot
         self.model.opt.tolerance = 0.0  # MuJoCo scales the tolerance by the mean inertia, which the base makes huge.
         mujoco.mj_setConst(self.model, self.data)
         self.reset()
@@ -166,7 +169,7 @@ class HungRobot(Robot):
 
     def advance(self, targets: Mapping[str, np.ndarray]) -> None:
         """Advance by one control step, and put the base back into its place."""
-        for _ in range(self.spec["decimation"]):
+        for _ in range(self.steps):
             self.drive(targets)
             mujoco.mj_step(self.model, self.data)
         self.data.qpos[:7], self.data.qvel[:6] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]], 0.0
