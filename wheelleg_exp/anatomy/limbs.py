@@ -230,7 +230,7 @@ _TILTED = math.radians(30)
 _MIDDLE = 0.01  # A left joint may be to the right of the mirror plane by at most 1 % of the robot's size.
 
 
-def find_mirrored(
+def find_pairs(
     tree: Tree, left: Array, middle: Array, size: float, wheels: dict[int, Array]
 ) -> tuple[list[MirroredPair], list[str], float]:
     """Return the pairs of mirrored joints, the joints without a mirror image, and the median distance of images, m.

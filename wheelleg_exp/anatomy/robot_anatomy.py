@@ -11,16 +11,7 @@ import numpy as np
 
 from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Side, Tree, Vec3, Wheel, find_base
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
-from wheelleg_exp.anatomy.limbs import (
-    LEVEL,
-    TURNS,
-    Found,
-    driven_joints,
-    find_legs,
-    find_mirrored,
-    find_wheels,
-    swivels,
-)
+from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_pairs, find_wheels, swivels
 
 _PARALLEL = 0.9  # A robot has a forward direction if at least about 90 % of its axles are parallel.
 # ``Wheel.sign`` is 0 for a wheel that rolls at more than 60° to the robot's forward axis.
@@ -194,7 +185,7 @@ def _mirrored(
         places = [float(wheel.centre @ normal) for wheel in wheels]
         middles.append(origin + ((max(places) + min(places)) / 2 - float(origin @ normal)) * normal)
     centres = {wheel.joint: wheel.centre for wheel in wheels}
-    found = [(middle, *find_mirrored(tree, normal, middle, max(size, 1e-9), centres)) for middle in middles]
+    found = [(middle, *find_pairs(tree, normal, middle, max(size, 1e-9), centres)) for middle in middles]
     return min(found, key=lambda one: (len(one[2]), one[3]))[:3]
 
 

@@ -130,9 +130,8 @@ def _convert(
         if folder.kind != "env.yaml":
             tree = as_isaac_lab(folder, robot, dofs, report)
         clip = tree.pop("clip_actions", None)
-        mapping = EnvMapping(
-            tree, dofs, author.target, report, names, [body.name for body in bodies], robot.parent.name
-        )
+        links = [body.name for body in bodies]
+        mapping = EnvMapping(tree, dofs, author.target, report, names, links, robot.parent.name)
         mapping.convert()
         if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
             mapping.robot["joint_order"] = folder.joint_order

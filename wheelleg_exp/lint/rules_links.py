@@ -117,10 +117,8 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     if problem:
         yield Finding(_ASSET, problem, UNITS, {"mass_kg": case.facts.mass, "size_m": robot.anatomy.size})
     if case.facts.standing_height < 0:
-        message = (
-            f"the root link '{robot.anatomy.base}' is {-1e3 * case.facts.standing_height:.4g} mm below the ground: "
-        )
-        yield Finding(_ASSET, message + "the robot's height is negative", "a root link inside the robot's body")
+        message = f"the root link '{robot.anatomy.base}' is {-1e3 * case.facts.standing_height:.4g} mm below the ground"
+        yield Finding(_ASSET, message, "a root link inside the robot's body")
 
 
 @rule

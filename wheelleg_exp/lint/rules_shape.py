@@ -88,13 +88,10 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
     colliders.
     """
     for name, why in robot.anatomy.near.items():
-        yield Finding(
-            _ASSET,
-            f"'{name}' would be a wheel, but {why}",
-            "a cylinder on the joint's axis as collider"
-            if "collide" in why
-            else 'a joint without limits about its axle (URDF: type="continuous")',
+        hint = (
+            "a cylinder on the joint's axis as collider" if "collide" in why else "a joint without limits on its axle"
         )
+        yield Finding(_ASSET, f"'{name}' would be a wheel, but {why}", hint)
     wheels = robot.anatomy.wheels
     for wheel in wheels:
         if wheel.roundness < 1.0 - _BUMP:

@@ -154,9 +154,8 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
         balls = [dof.name for dof in conversion.description.dofs if dof.kind == "ball"]
         if balls:
             message = f"joint '{balls[0]}' is a ball joint, which no actuator drives"
-            raise AssetError(
-                message, where=str(source), expected="hinges and slides, or a fixed sphere as a ball caster"
-            )
+            expected = "hinges and slides, or a fixed sphere as a ball caster"
+            raise AssetError(message, where=str(source), expected=expected)
         names = [dof.name for dof in conversion.description.dofs]
         given = values_by_name(pose, names, None, key="env.robot.init_state.joint_pos", what="joint")
         read = {dof.name: _default_position(dof) for dof in conversion.description.dofs}

@@ -100,11 +100,8 @@ def possible_faults(
     gyro, gravity = imu["base_ang_vel"], imu["projected_gravity"]
     yield from _scales(make, gyro, "the gyroscope")
     for column, values in [(c, _RATES) for c in gyro] + [(c, _TILTS) for c in gravity[:2]]:
-        what = (
-            "the gyroscope has a bias"
-            if column in gyro
-            else "the IMU is tilted, or the centre of mass is not where it is simulated"
-        )
+        tilted = "the IMU is tilted, or the centre of mass is not where it is simulated"
+        what = "the gyroscope has a bias" if column in gyro else tilted
         change = f"subtract {{value:.3g}} from {column}, or calibrate the IMU"
         change += "" if column in gyro else "; if the IMU is right, correct the mass and its centre"
         for value in values:

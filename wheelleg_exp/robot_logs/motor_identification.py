@@ -6,25 +6,23 @@ factor on stiffness and damping), delay of the targets, effort scale (logged eff
 of the feedback. The residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All
 joints are fitted together, because gravity and the reactions between links separate a motor's torque from its inertia.
 
-A drive computes torques at its own rate, often 1 kHz, and its damping is small only on this time scale: with the
-implicit integration of a training's physics step, gains and friction have to be wrong to repeat a log. Here, one
-physics step (semi-implicit Euler) is one period h of the drives, whose torques are explicit. A joint that moves
-continuously under torques that are constant for h equals this joint with damping kd - kp L and positions q - L q' for
-the latency L = h/2. Other values of L, -h to h, are drives that react faster or later than at the assumed rate.
+One physics step (semi-implicit Euler) is one period h of the drives, whose torques are explicit: a training's longer,
+implicit step needs wrong gains and frictions to repeat a log. A joint that moves continuously under torques that are
+constant for h equals this joint with damping kd - kp L and positions q - L q' for the latency L = h/2.
 
 The state at the start of each chirp is measured with noise too. At the end, a Gauss-Newton step treats the errors of
 the start states as further unknowns with the deviation of their noise, and eliminates them: from the residuals r (n,)
 and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and S (SᵀS + P)⁻¹ Sᵀ J, with the Jacobian S
 for the start states and their inverse variances P. The result is r* and J*. The 95 % confidence intervals come from the
 larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and s² = rᵀr / (n - p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the
-sums g of J* r* over each 0.25 s of a chirp, which are large if the model differs from the robot. Because the error of a
-model is systematic, the half width is also multiplied by the joint's error / noise if this is above 1.
+sums g of J* r* over each 0.25 s of a chirp. The half width is multiplied by the joint's error / noise if this is above
+1, because the error of a model is systematic.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
@@ -99,7 +97,7 @@ class Identified:
     delayed: frozenset[str]  # the actuator groups whose delay is ``min_delay`` and ``max_delay``
 
 
-Weight = tuple[float, float]  # a mass, kg, and its distance from the joint's axis, m
+Weights = Mapping[str, tuple[float, float]]  # by joint: a mass, kg, and its distance from the joint's axis, m
 Progress = Callable[[str], None] | None
 
 
@@ -120,31 +118,18 @@ def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: floa
 class ChirpSimulation:
     """N simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log.
 
-    Each drive is a PD controller that computes its torque at ``drive_rate`` (Hz, rounded to a multiple of the control
-    rate), which is also the rate of the physics steps.
+    Each drive is a PD controller that computes its torque at ``rate`` (Hz, rounded to a multiple of the control rate),
+    which is also the rate of the physics steps.
     """
 
     def __init__(
-        self,
-        env: Mapping[str, Any],
-        mjcf: Path,
-        num_envs: int,
-        gravity: Numbers,
-        weights: Mapping[str, Weight],
-        drive_rate: float,
+        self, env: Mapping[str, Any], mjcf: Path, num_envs: int, gravity: Numbers, weights: Weights, rate: float
     ) -> None:
         found = copy.deepcopy(dict(env))
         self.step_dt = found["sim"]["dt"] * found["decimation"]
-        self.substeps = max(1, round(self.step_dt * drive_rate))
+        self.substeps = max(1, round(self.step_dt * rate))
         found["robot"]["init_state"] |= {"pos": [0.0, 0.0, _HEIGHT], "rot": [1.0, 0.0, 0.0, 0.0]}
-        dt = self.step_dt / self.substeps
-        found["sim"] |= {
-            "gravity": gravity.tolist(),
-            "dt": dt,
-            "integrator": "euler",
-            "engine": "mujoco",
-            "device": "cpu",
-        }
+        found["sim"] |= {"gravity": gravity.tolist(), "dt": self.step_dt / self.substeps, "integrator": "euler"}
         found["scene"] |= {"sensors": {}}
         for name, group in found["robot"]["actuators"].items():
             if group is not None:
@@ -161,18 +146,15 @@ class ChirpSimulation:
         self.names = list(self.robot.joint_names)
         self.driven = self.robot.layout.actuated_ids.tolist()  # in the order of MuJoCo's actuators
         self.drives = {key: self._of_joints(key) for key in ("stiffness", "damping", "effort_limit")}
+        # ``trees`` (J,): the kinematic tree of each joint; different trees move independently.
+        trees = self.sim.model.dof_treeid[self.robot.layout.dof_ids.numpy()]
+        self.trees = np.zeros_like(trees) if self.sim.model.neq or self.sim.model.ntendon else trees
 
     def _of_joints(self, key: str) -> Numbers:
         values = np.zeros(len(self.names))
         for group in self.robot.actuators.values():
             values[group.joint_ids] = getattr(group, key)[0]
         return values
-
-    @property
-    def trees(self) -> NDArray[np.int32]:
-        """The kinematic tree of each joint, (J,): trees that move independently."""
-        model = self.sim.model
-        return model.dof_treeid[self.robot.layout.dof_ids.numpy()] * int(not model.neq and not model.ntendon)
 
     def start_values(self, delays: Mapping[str, float]) -> Numbers:
         """Return the parameters of the config, (driven joints, 7); ``delays`` (s) by actuator group."""
@@ -249,7 +231,7 @@ def identify(
     log: RobotLog,
     env: Mapping[str, Any],
     mjcf: Path,
-    weights: Mapping[str, Weight] = MappingProxyType({}),
+    weights: Weights = MappingProxyType({}),
     drive_rate: float = DRIVE_RATE,
     progress: Progress = None,
 ) -> Identified:
@@ -283,10 +265,15 @@ def identify(
     fit = _Fit(simulation, fitted, x, free, np.maximum(own, 0.2 * noise), progress)
     solution = fit.solve(-1.0)
     errors = _errors(simulation, fit.values(solution.x)[None], pieces)[0]
-    ratio = _error_ratio(log, probe.names, errors / noise)[probe.driven, None]
+    ratio = np.sqrt(np.nanmean((errors / noise) ** 2, axis=(0, 1, 2)))
+    if ratio.max() > _MOST_ERROR:
+        name = probe.names[int(ratio.argmax())]
+        message = f"the model cannot repeat the log: the error of '{name}' is {ratio.max():.0f} times the noise"
+        expected = f"at most {_MOST_ERROR:g} times; check the robot file, --weight, --drive-rate, backlash, elasticity"
+        raise UnlikeModel(message, key=str(log.path), expected=expected)
     faster = (probe.substeps + 1) / probe.step_dt
     x, half_width = fit.refined(solution, ChirpSimulation(env, mjcf, len(fitted.start), gravity, weights, faster))
-    half_width *= np.maximum(1.0, ratio)
+    half_width *= np.maximum(1.0, ratio[probe.driven, None])
     low, high = x - half_width, x + half_width
     low[:, :6] = np.maximum(low[:, :6], 0.0)
     scores = [_scores(simulation, np.stack((before, x)), part, noise) for part in (fitted, held_out)]
@@ -303,17 +290,6 @@ def identify(
     counts = (half, len(held_out.start))
     steps = env["sim"]["dt"], probe.substeps / probe.step_dt
     return Identified(parameters, scores[0], scores[1], counts, drives, *steps, groups, delayed)
-
-
-def _error_ratio(log: RobotLog, names: Sequence[str], errors: Numbers) -> Numbers:
-    """Return the RMS of each joint's errors / noise, (J,); raise UnlikeModel if one is too large."""
-    found: Numbers = np.sqrt(np.nanmean(errors**2, axis=(0, 1, 2)))
-    if found.max() > _MOST_ERROR:
-        name = names[int(found.argmax())]
-        message = f"the model cannot repeat the log: the error of '{name}' is {found.max():.0f} times the noise"
-        expected = f"at most {_MOST_ERROR:g} times; check the robot file, --weight, --drive-rate, backlash, elasticity"
-        raise UnlikeModel(message, key=str(log.path), expected=expected)
-    return found
 
 
 def _delays(env: Mapping[str, Any]) -> dict[str, float]:

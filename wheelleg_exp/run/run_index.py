@@ -241,9 +241,8 @@ class PipelineIndex(_RunIndex):
         """Raise RunDirectoryError if ``path`` is outside the folder of runs that contains this pipeline."""
         root = self.folder.parents[1]
         if not Path(os.path.normpath(self.folder / path)).is_relative_to(root):
-            raise RunDirectoryError(
-                f"the pipeline names '{path}'", where=str(self.path), expected=f"a path below {root}"
-            )
+            message = f"the pipeline names '{path}'"
+            raise RunDirectoryError(message, where=str(self.path), expected=f"a path below {root}")
 
     @property
     def root(self) -> Path:

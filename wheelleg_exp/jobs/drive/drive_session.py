@@ -221,13 +221,12 @@ class DriveSession:
     def status(self) -> Status:
         """Return the state of the driven robot."""
         rewards = self.env.reward_manager
-        values = rewards.get_active_iterable_terms(0)
         return Status(
             time_s=self.time_s,
             commands=self.controls.values,
             measured=self.meter.measured,
             height_m=self.meter.height_m,
-            rewards={name: value for name, (value,) in values if rewards.get_term_cfg(name).weight},
+            rewards={n: v for n, (v,) in rewards.get_active_iterable_terms(0) if rewards.get_term_cfg(n).weight},
             falls=self.meter.falls,
             fallen=self.fallen,
         )

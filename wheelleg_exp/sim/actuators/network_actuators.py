@@ -232,8 +232,7 @@ class ActuatorNetLSTM(ActuatorNet):
     per joint, N·m, and the new hidden state of its LSTM. The hidden state of an actuator's LSTM is 0 at the start of an
     episode. An actuator with a neural network ignores velocity targets and feed-forward efforts.
 
-    Unlike Isaac Lab's class of this name, the torque-speed line limits the torque at the joint's present speed. Isaac
-    Lab 2.3.2 never passes the speed to the limit, so that the limit is always that of a motor at rest.
+    The torque limit is that at the joint's present speed. Isaac Lab 2.3.2 always uses the limit of a motor at rest.
     """
 
     def load(self, file: Path, key: str, device: torch.device) -> None:
