@@ -17,7 +17,7 @@ from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.asset.conversion_report import Report
-from wheelleg_exp.asset.mjcf.joint_couplings import RANK, JointCouplings, constraint_rows
+from wheelleg_exp.asset.mjcf.coupled_positions import RANK, JointCouplings, constraint_rows
 from wheelleg_exp.sim.actuators import IdealPDActuator
 from wheelleg_exp.sim.robot import Robot
 

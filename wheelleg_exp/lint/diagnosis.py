@@ -24,7 +24,7 @@ from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.stance import weight_over_axle
 from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.file_limits import require_plain_file
-from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
+from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env

@@ -13,7 +13,7 @@ import torch
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
-from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
+from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 from wheelleg_exp.lint.reward_tolerances import HEIGHTS
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below, largest, rule
 from wheelleg_exp.lint.rules_drives import wheel_friction

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import torch
 
-from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings, constraint_rows
+from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings, constraint_rows
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.names import order_errors, values_by_name
 from wheelleg_exp.sim.options import RobotOptions

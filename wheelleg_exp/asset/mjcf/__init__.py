@@ -6,6 +6,6 @@
 | `default_classes` | default classes, named by the role of joints |
 | `mjcf_elements` | an XML tree that prints the same bytes each time; attributes of elements |
 | `compile_mjcf` | the compiled model: comparison with the description, force gains |
-| `joint_couplings` | positions of joints that follow other joints |
+| `coupled_positions` | positions of joints that follow other joints |
 | `preview_scene` | floor and light for viewing a robot |
 """

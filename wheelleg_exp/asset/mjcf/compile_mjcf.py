@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
+from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.rigid_geometry import rotation_matrix, tensor_of
 from wheelleg_exp.asset.robot_description import RobotDescription

@@ -324,14 +324,7 @@ class DrivePage:
         self._server.gui.main_panel.set_width(_PANEL_WIDTH)
         model = copy.copy(session.env.scene.sim.model)  # Copy the model, because mjviser changes the model's colours.
         self._scene = self._scene_class(self._server, model, num_envs=1)
-        mujoco.mj_kinematics(model, self._data)
-        moving = model.geom_bodyid > 0
-        offsets = self._data.geom_xpos[moving] - self._data.qpos[:3]
-        size = float((np.linalg.norm(offsets, axis=1) + model.geom_rbound[moving]).max())
-        middle = np.array([0.0, 0.0, 0.5 * (offsets[:, 2].min() + offsets[:, 2].max())])
-        camera = self._server.initial_camera
-        camera.position, camera.look_at, camera.fov = middle + size * _CAMERA_FROM, middle, _VIEW_ANGLE
-        self._show_ground(size)
+        self._show_surroundings()
         gui, controls = self._server.gui, self._controls
         self._state = gui.add_html("")
         with gui.add_folder("Commands"):
@@ -377,12 +370,19 @@ class DrivePage:
                     self._mirrored[name] = self._sliders[name].value = value
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
-    def _show_ground(self, size: float) -> None:
-        """Replace mjviser's grid by tiles, and show a sky; ``size`` is the radius of the robot, m."""
+    def _show_surroundings(self) -> None:
+        """Place the camera near the robot, replace mjviser's grid by tiles, and show a sky."""
         from trimesh import Trimesh
         from trimesh.visual import TextureVisuals, material
 
         model, scene, count = self._scene.mj_model, self._server.scene, 60
+        mujoco.mj_kinematics(model, self._data)
+        moving = model.geom_bodyid > 0
+        offsets = self._data.geom_xpos[moving] - self._data.qpos[:3]
+        size = float((np.linalg.norm(offsets, axis=1) + model.geom_rbound[moving]).max())  # the robot's radius, m
+        middle = np.array([0.0, 0.0, 0.5 * (offsets[:, 2].min() + offsets[:, 2].max())])
+        camera = self._server.initial_camera
+        camera.position, camera.look_at, camera.fov = middle + size * _CAMERA_FROM, middle, _VIEW_ANGLE
         self._pattern = 2.0 * 10.0 ** round(math.log10(size))  # The picture shows 2 x 2 tiles of 0.1, 1, or 10 m.
         odd = np.kron(np.eye(2), np.ones((128, 128)))[..., None]
         tiles = ((1.0 - odd) * _TILES[0] + odd * _TILES[1]).astype(np.uint8)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from wheelleg_exp.asset import convert
-from wheelleg_exp.asset.mjcf.joint_couplings import JointCouplings
+from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 
 # The follower is listed before its driver, and the last follower before the follower that it follows.
 CHAIN = """<mujoco><worldbody>
