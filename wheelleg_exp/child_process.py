@@ -351,8 +351,12 @@ def call_limited(function: Callable[..., _T], *arguments: Any, key: str, seconds
     if child.returncode == -signal.SIGINT:
         raise Interrupted
     if child.returncode or not child.stdout:
-        slow = child.returncode == -getattr(signal, "SIGXCPU", signal.SIGKILL)
-        how = f"took more than {seconds} s of CPU time" if slow else f"ended early, with status {child.returncode}"
+        slow = child.returncode in (-signal.SIGXCPU, -signal.SIGALRM)
+        how = (
+            f"took more than {seconds} s of CPU time, or slept"
+            if slow
+            else f"ended early, with status {child.returncode}"
+        )
         expected = f"one that needs less than {seconds} s and {gib} GiB, and code that does not end its process"
         raise RunDirectoryError(f"the process that tried this file or config {how}", key=key, expected=expected)
     result: _T | Exception = pickle.loads(child.stdout)
@@ -369,6 +373,7 @@ def answer_call() -> None:
     target = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the result.
     seconds, gib, function, arguments = pickle.load(sys.stdin.buffer)
+    signal.alarm(10 + 4 * seconds)  # Code can sleep; a busy machine can be slow.
     memory = (used_memory("VmData") or 0) + (gib << 30)
     for kind, limit in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_DATA, memory)):
         with contextlib.suppress(ValueError):  # The hard limit of this process is lower.

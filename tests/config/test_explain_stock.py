@@ -120,7 +120,7 @@ def test_the_defaults_of_the_managers_fields_are_what_the_managers_do():
 
 def test_a_key_of_play_is_explained_and_a_key_that_nothing_reads_has_no_slot():
     explained = explain_key(compose(primary="play"), "play.settle_s")
-    assert (explained.value, explained.sources[0].where.endswith("configs/play.yaml:4")) == (1.0, True)
+    assert (explained.value, explained.sources[0].where.endswith("configs/play.yaml:5")) == (1.0, True)
     tree = compose(["task=stand"]).config
     assert known.slot(tree, ("env", "rewards", "alive", "nothing")) is None
     assert known.slot(tree, ("nothing",)) is None

@@ -85,8 +85,8 @@ def test_the_articles_task_has_the_articles_numbers():
         "critic": (36 * 5,),
     }
     assert (env["num_envs"], env["episode_length_s"], env["decimation"], 1 / env["sim"]["dt"]) == (512, 5.0, 2, 120.0)
-    drives = {name: group["stiffness"] + group["damping"] for name, group in env["robot"]["actuators"].items()}
-    assert drives == {"legs": 3.0 + 0.3, "wheels": 0.0 + 1.0}
+    drives = {name: (group["stiffness"], group["damping"]) for name, group in env["robot"]["actuators"].items()}
+    assert drives == {"legs": (3.0, 0.3), "wheels": (0.0, 1.0)}
     assert (env["actions"]["leg_pos"]["scale"], env["actions"]["wheel_vel"]["scale"]) == (0.15, 5.0)
     command = env["commands"]["base_velocity"]
     assert {tuple(command["ranges"][axis]) for axis in ("lin_vel_x", "lin_vel_y", "ang_vel_z")} == {(0.0, 0.0)}

@@ -26,7 +26,7 @@ def test_valid_names_are_accepted_and_suggested_for_similar_invalid_ones(name):
         ("test", "another part of a project", "test_robot"),
         ("configs", "another part of a project", "configs_robot"),
         ("stand", "a stock config, task/stand", "stand_robot"),
-        ("article", "a stock config, robot/article", "article_robot"),
+        ("physical", "a stock config, robot/physical", "physical_robot"),
         ("torch", "an installed Python package", "torch_robot"),
         ("wheelleg_exp", "an installed Python package", "wheelleg_exp_robot"),
         ("json", "an installed Python package", "json_robot"),

@@ -154,7 +154,7 @@ def test_signs_of_joints_are_those_of_their_axes():
     [
         ({"x(.*)": r"r\1"}, "matches no joint"),
         ({"l(.*)": r"s\1"}, "the robot has no joint 's1'"),
-        ({"l(": "r"}, "regular expression is invalid"),
+        ({"l(": "r"}, "is not a regular expression"),
         ({"l(.*)": r"r\2"}, "regular expression is invalid"),
     ],
 )

@@ -79,7 +79,7 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[str, str]]:
         low = float(shape.centre @ tree.up) - shape.radius
         if low > highest:
             continue
-        if tree.turns(joint) > TURNS:
+        if math.isinf(tree.turns(joint)):
             found.append(shape)
         elif tree.turns(joint) >= _HALF_TURN:
             low_limit, high_limit = tree.model.jnt_range[joint]

@@ -284,8 +284,12 @@ class RobotDescription:
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of the degrees of freedom with a drive; empty for a URDF, which has no drives."""
-        return tuple(dof.name for dof in self.dofs if dof.drive is not None)
+        """Names of the degrees of freedom with a motor; empty for a URDF, which has no motors.
+
+        A drive without gains is a motor only if no drive has gains: some files leave the gains to the task.
+        """
+        drives = {dof.name: dof.drive for dof in self.dofs if dof.drive is not None and dof.drive.effort != 0}
+        return tuple(name for name, drive in drives.items() if drive.stiffness or drive.damping) or tuple(drives)
 
     @property
     def geoms(self) -> tuple[Geom, ...]:

@@ -86,10 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _skip_last_collection() -> None:
-    """Exclude all objects from the garbage collection at exit, which takes 0.7 s with torch, except with nanobind.
-
-    Libraries built with nanobind, such as triton, print a warning for each of their objects that is not freed at exit.
-    """
+    """Skip the collection at exit, which takes 0.7 s with torch; nanobind would warn about each of its objects."""
     if all(metaclass.__module__ != "nanobind" for metaclass in type.__subclasses__(type)):
         gc.freeze()
 

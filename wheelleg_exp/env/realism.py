@@ -54,9 +54,10 @@ def without_disturbances(env_cfg: Mapping[str, Any]) -> dict[str, Any]:
     cfg = copy.deepcopy(without_pushes(env_cfg))
     cfg["events"] = {n: e for n, e in cfg["events"].items() if not {"force_range", "torque_range"} & e.keys()}
     lost, curricula = (env_cfg.get("events") or {}).keys() - cfg["events"].keys(), cfg.get("curriculum") or {}
-    kept = {n: c for n, c in curricula.items() if c and not lost & {*re.split(r"\W+", str(c.get("address")))}}
+    of_lost = re.compile(rf"events\.({'|'.join(map(re.escape, lost)) or '(?!)'})\b")
+    kept = {n: c for n, c in curricula.items() if c and not of_lost.match(str(c.get("address")))}
     nodes = [*((cfg.get("realism") or {}).get("sensors") or {}).values()]
-    for group in filter(None, cfg["observations"].values()):
+    for group in filter(None, (cfg.get("observations") or {}).values()):
         group["enable_corruption"] = False
         nodes += group["terms"].values()
     for node in filter(None, nodes):

@@ -57,7 +57,7 @@ def import_apart(source: Path, robot: Path, place: Path, **options: Any) -> Impo
     path = require_place(place)
     try:
         importing = partial(import_run, source, robot, place, **options)
-        return call_limited(importing, key=str(source), seconds=600, gib=8)
+        return call_limited(importing, key=str(source), seconds=120, gib=8)
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
         with temporary_folder(path):  # removes the draft of a dead process
@@ -163,7 +163,7 @@ def _write_project(
     finite = {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
     mapping.env["terminations"].setdefault("non_finite_state", finite)
     task: dict[str, Any] = {"defaults": [{"/robot": name}, {"/sim": "parity"}, "_self_"]}
-    task |= {"task": {"name": name}, "env": mapping.env, "agent": agent}
+    task |= {"task": {"name": name}, "env": mapping.env, "agent": {k: v for k, v in agent.items() if v != {}}}
     if mapping.seed is not None:
         task["seed"] = mapping.seed
     asset = {"profile": name, "asset": f"{name}/{robot}"}

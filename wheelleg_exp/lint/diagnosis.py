@@ -263,7 +263,8 @@ def notes_on(case: Case) -> list[str]:
     if robot.moved:
         pose = ", ".join(f"{name} at {robot.position(name):.4g}, not {at:.4g}" for name, at in robot.moved.items())
         notes.append(f"the file's pose is outside joint limits, so the robot is measured with {pose}")
-    notes += [f"{w.joint}: a wheel, {w.side}, because it {w.why}" for w in anatomy.wheels]
+    kinds = {w.joint: f"a caster behind {' and '.join(w.swivels)}" if w.caster else "a wheel" for w in anatomy.wheels}
+    notes += [f"{w.joint}: {kinds[w.joint]}, {w.side}, because it {w.why}" for w in anatomy.wheels]
     loops = sum(len(leg.loops) for leg in anatomy.legs)
     if loops:
         notes.append(f"{loops} closed loops in the legs: their joints share the load and move together")

@@ -187,6 +187,14 @@ def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, a
             scene = SceneManager({**env, "robot": robot | {"root_frame": standing.frame}}, conversion.output, 1).scene
             model = scene.spec.compile()
         found = _measured(conversion, scene.robot, model, standing)
+        if found.facts.standing_height < 0:
+            message = f"the root link '{found.anatomy.base}' is below the ground, on which the wheels stand"
+            raise AssetError(message, where=str(source), expected="a root link inside the robot's body")
+        for name, value in found.positions.items():
+            low, high = model.joint(name).range if model.joint(name).limited else (-math.inf, math.inf)
+            if not low - 1e-6 <= value <= high + 1e-6:
+                message = f"a coupling moves joint '{name}' to {value:.4g}, beyond its limits {low:.4g} to {high:.4g}"
+                raise AssetError(message, where=str(source), expected="a coupling that the limits allow")
         if (problem := found.anatomy.cannot_stand) and not allow_missing:
             expected = "wheels on both sides that can roll, or --allow-missing"
             raise AssetError(problem, where=str(source), expected=expected)
@@ -268,7 +276,7 @@ def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], anatomy: Anatomy) 
     # Handle leg joints and wheels separately, because some robot files define drives only for legs or only for wheels.
     for group in ([name for name in dofs if name not in wheels], wheels):
         free = [name for name in group if name not in followers | anatomy.casters]
-        driven = [name for name in group if name not in followers and dofs[name].drive is not None]
+        driven = [name for name in group if name not in followers and name in robot.driven]
         passive += [name for name in group if name not in (driven or free)]
     return [name for name in dofs if name not in wheels and name not in passive], passive
 

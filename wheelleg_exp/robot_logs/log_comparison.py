@@ -177,7 +177,10 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
 
 def clock_findings(log: RobotLog, step_dt: float) -> Iterator[LogFinding]:
     """Yield a finding if the time between rows is not the control step."""
-    step = log.step_dt
+    step, back = log.step_dt, np.flatnonzero(np.diff(log.time) <= 0)
+    for row in back[:1] + 1:
+        evidence = f"the time {log.time[row]:.6g} of row {row} is not later than the row before"
+        yield LogFinding("time", ("time",), "the log's rows are not in order", evidence, "sort the rows", float(row))
     if abs(step - step_dt) > _SIMULATED_RATES * step_dt:
         wrong = "the log's rows are not control steps"
         evidence = f"the time between rows is {step:.4g}, and the control step is {step_dt:.4g} s"

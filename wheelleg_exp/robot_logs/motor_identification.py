@@ -61,12 +61,6 @@ _TARGET = {"_target_": "wheelleg_exp.sim.actuators.ImplicitActuator"}
 _LEAST_LOAD = 0.005  # least torque of gravity, as a share of the effort limit, from which an effort scale is found
 
 
-class UnlikeModel(LogError):
-    """The model with the best motor parameters does not repeat the log."""
-
-    exit_code = EXIT_FINDING
-
-
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of a joint: its value in the config of the robot, the identified value, and the interval."""
@@ -238,8 +232,8 @@ def identify(
     """Identify the motors of the robot in an ``env`` config from a log of chirps.
 
     Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
-    ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps,
-    and UnlikeModel if the best simulation differs from it by more than 5 times the noise.
+    ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps, or if the
+    best simulation differs from it by more than 5 times the noise.
     """
     _chirp_starts(log)
     columns = columns_of("projected_gravity", 3, ())
@@ -252,7 +246,9 @@ def identify(
     pieces = _pieces(log, probe)
     half = (pieces.start.shape[0] + 1) // 2
     fitted, held_out = pieces.of(slice(half)), pieces.of(slice(half, None))
-    before = probe.start_values(_delays(env))
+    actuators = {name: group for name, group in env["robot"]["actuators"].items() if group is not None}
+    bounds = {n: g.get("delay") or (g.get("min_delay", 0), g.get("max_delay", 0)) for n, g in actuators.items()}
+    before = probe.start_values({name: env["sim"]["dt"] * sum(pair) / 2 for name, pair in bounds.items()})
     free = np.broadcast_to([name != "effort_scale" for name in PARAMETERS], before.shape).copy()
     free[:, 5] = probe.inertias()[1] & np.isfinite(pieces.logged[:, :, 2]).any()
     most = 1 + max(np.bincount(probe.trees[probe.driven], free.sum(axis=1)))
@@ -270,7 +266,9 @@ def identify(
         name = probe.names[int(ratio.argmax())]
         message = f"the model cannot repeat the log: the error of '{name}' is {ratio.max():.0f} times the noise"
         expected = f"at most {_MOST_ERROR:g} times; check the robot file, --weight, --drive-rate, backlash, elasticity"
-        raise UnlikeModel(message, key=str(log.path), expected=expected)
+        error = LogError(message, key=str(log.path), expected=expected)
+        error.exit_code = EXIT_FINDING
+        raise error
     faster = (probe.substeps + 1) / probe.step_dt
     x, half_width = fit.refined(solution, ChirpSimulation(env, mjcf, len(fitted.start), gravity, weights, faster))
     half_width *= np.maximum(1.0, ratio[probe.driven, None])
@@ -290,16 +288,6 @@ def identify(
     counts = (half, len(held_out.start))
     steps = env["sim"]["dt"], probe.substeps / probe.step_dt
     return Identified(parameters, scores[0], scores[1], counts, drives, *steps, groups, delayed)
-
-
-def _delays(env: Mapping[str, Any]) -> dict[str, float]:
-    """Return the mean delay of each actuator group in the config, s."""
-    found = {}
-    for name, group in env["robot"]["actuators"].items():
-        if group is not None:
-            bounds = group.get("delay") or (group.get("min_delay", 0), group.get("max_delay", 0))
-            found[name] = env["sim"]["dt"] * sum(bounds) / 2
-    return found
 
 
 def _chirp_starts(log: RobotLog) -> np.ndarray:

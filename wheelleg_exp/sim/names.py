@@ -119,7 +119,7 @@ def compiled(pattern: str, names: Iterable[str], key: str | None = None) -> re.P
         raise ConfigError(message, key=key, expected="a regular expression") from error
     if ways > _MOST_WAYS:
         message = f"'{pattern}' can match a name in too many ways"
-        raise ConfigError(message, key=key, expected="a regular expression without repetitions inside of repetitions")
+        raise ConfigError(message, key=key, expected="an expression with fewer repetitions, or the names themselves")
     return found
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
+from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
     from wheelleg_exp.lint.diagnosis import Diagnosis
@@ -68,7 +69,7 @@ def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
 
     if len(words) > 1:
         raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
-    if config_dirs:
+    if set(config_dirs) - {*with_current([])}:
         message = "the option applies only to a task"
         raise UsageError(message, key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
     return diagnose_file(Path(words[0]))

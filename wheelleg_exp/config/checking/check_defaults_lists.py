@@ -247,7 +247,7 @@ def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> I
         package, lines = split_path(file.package), lookup.file_text(file.file).splitlines()
         for keys, value in leaves(file.content):
             line = line_table(file.file).get(keys, 1)
-            if keys and (value == {} or (value is None and re.search(r":\s*(#.*)?$", lines[line - 1]))):
+            if keys and (value == {} or (value is None and re.match(r"[^#]*:\s*(#.*)?$", lines[line - 1]))):
                 path, depth = (*package, *keys), len(package) + len(keys)
                 names = dict.fromkeys(key[depth] for key in earlier if key[:depth] == path and len(key) > depth)
                 empty.append((path, value, show_file(file.file, line), names))
