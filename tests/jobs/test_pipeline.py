@@ -157,6 +157,8 @@ def killed(watched, tmp_path) -> Callable[[int], PipelineIndex]:
         root = shutil.copytree(watched[2] / str(evaluation), tmp_path / "killed")
         index = PipelineIndex.load(next((root / "pipelines").iterdir()))
         index.data["process"]["pid"] = 2**22 + 1
+        words = index.data["overrides"]
+        index.data["overrides"] = [f"run.root={root}" if word.startswith("run.root=") else word for word in words]
         index.write()
         return index
 

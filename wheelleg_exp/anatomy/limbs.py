@@ -25,6 +25,7 @@ _DISC = 1.5  # A collider counts as a disc if it is narrower than 1.5 times its 
 _SMALLEST = 1e-3  # m, radius
 _EQUAL = 0.1  # Two moments of inertia count as equal if they differ by at most 10 %.
 _CENTRED = 0.1  # A wheel's centre of mass is at most 10 % of the wheel's radius away from the axle.
+_ENDLESS = 1e3  # rad; a wheel with a smaller range stops after a short drive.
 _HALF_TURN = 3.0  # rad; a round body on a hinge with limits looks like a wheel from about half a turn on.
 _AROUND = 48
 
@@ -79,7 +80,7 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[str, str]]:
         low = float(shape.centre @ tree.up) - shape.radius
         if low > highest:
             continue
-        if math.isinf(tree.turns(joint)):
+        if tree.turns(joint) > _ENDLESS:
             found.append(shape)
         elif tree.turns(joint) >= _HALF_TURN:
             low_limit, high_limit = tree.model.jnt_range[joint]
