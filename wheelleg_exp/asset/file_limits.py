@@ -102,8 +102,8 @@ _open: list[tuple[int, int]] = []  # limits before each conversion
 
 
 @contextmanager
-def bounded_memory(source: Path, most: int = MOST) -> Iterator[None]:
-    """On Linux, limit this process to ``most`` bytes (8 GiB) more memory than it uses at the time of the call.
+def bounded_memory(source: Path, most: int = 0) -> Iterator[None]:
+    """On Linux, limit this process to ``most`` bytes (by default 8 GiB) more memory than it uses at the time of the call.
 
     A tiny damaged USD crate file can declare a huge array, which the USD library allocates before it checks the file.
     The memory limit applies to all threads of the process.
@@ -116,12 +116,12 @@ def bounded_memory(source: Path, most: int = MOST) -> Iterator[None]:
 
             soft, hard = _open[0] if _open else resource.getrlimit(resource.RLIMIT_DATA)
             _open.append((soft, hard))
-            bounds = [used + most, *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
+            bounds = [used + (most or MOST), *(limit for limit in (soft, hard) if limit != resource.RLIM_INFINITY)]
             resource.setrlimit(resource.RLIMIT_DATA, (min(bounds), hard))
     try:
         yield
     except MemoryError:
-        message = f"'{source.name}' needs more than {most >> 30} GB of memory"
+        message = f"'{source.name}' needs more than {(most or MOST) >> 30} GB of memory"
         raise AssetError(message, where=str(source), expected="one robot, whole") from None
     finally:
         with _lock:
