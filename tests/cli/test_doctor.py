@@ -9,6 +9,7 @@ from PIL import Image
 
 from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.project.create import create
 
 pytestmark = pytest.mark.usefixtures("shared_cache")
 
@@ -32,6 +33,12 @@ def test_a_healthy_robot_ends_with_0(file, capsys):
     said = capsys.readouterr().out
     assert "0 findings\n" in said
     assert " ".join(said.split()).endswith(f"{path}: nothing to fix")
+
+
+def test_a_robot_file_is_examined_in_the_folder_of_a_project(file, tmp_path, monkeypatch):
+    create(tmp_path / "mine", None)
+    monkeypatch.chdir(tmp_path / "mine")
+    assert main(["doctor", file(HEALTHY)]) == 0
 
 
 def test_a_finding_ends_with_1_and_the_one_to_act_on_first(file, capsys):

@@ -60,6 +60,13 @@ def test_a_child_of_a_stock_task_in_a_users_folder(tmp_path):
     assert check(composed) == []
 
 
+def test_an_explicit_null_with_a_comment_is_not_a_missing_value(tmp_path):
+    text = "# @package _global_\ndefaults: [stand, _self_]\ntask: {name: mine}\nenv:\n  events: null   # none, see:\n"
+    (tmp_path / "task").mkdir()
+    (tmp_path / "task" / "mine.yaml").write_text(text)
+    assert check(compose(["task=mine"], config_dirs=[tmp_path])) == []
+
+
 def test_the_articles_task_has_the_articles_numbers():
     """The numbers were typed from the article, not from the config files."""
     from wheelleg_exp.config.explaining.term_shapes import shapes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,8 @@ import yaml
 from env.composed import composed
 
 from project.robots import BODY, HIGH, LEG, LOW, RADIUS, along_y, edited, four_legs, knees, urdf, with_hip_yaw
+from wheelleg_exp.asset import convert
+from wheelleg_exp.asset.robot_description import Drive
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
@@ -112,6 +115,42 @@ def test_a_caster_stays_passive(tmp_path):
     assert found.positions["swivel"] == found.positions["roll"] == 0.0
     driven = yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["actuators"]
     assert [group["joint_names_expr"] for group in driven.values()] == [["l_hip", "r_hip"], ["l_axle", "r_axle"]]
+
+
+@pytest.mark.parametrize(
+    ("gains", "driven"),
+    [
+        ({"l_axle": (0.0, 1.0), "swivel": (0.0, 0.0)}, ("l_axle",)),
+        ({"l_axle": (0.0, 0.0), "r_axle": (0.0, 0.0)}, ("l_axle", "r_axle")),
+        ({}, ()),
+    ],
+)
+def test_a_drive_without_gains_is_a_motor_only_if_no_drive_has_gains(gains, driven, tmp_path):
+    robot = convert(edited(urdf(tmp_path), (END, CASTER)), tmp_path / "robot.xml").description
+    drives = {name: Drive("force", stiffness, damping, None) for name, (stiffness, damping) in gains.items()}
+    bodies = [replace(b, dofs=tuple(replace(d, drive=drives.get(d.name)) for d in b.dofs)) for b in robot.bodies]
+    assert replace(robot, bodies=tuple(bodies)).driven == driven
+
+
+DEEP = f"""<robot name="two"><link name="deep">{LIGHT}</link>
+  <joint name="up" type="fixed"><parent link="deep"/><child link="body"/><origin xyz="0 0 1"/></joint>"""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('<robot name="two">', DEEP), "the root link 'deep' is below the ground"),
+        (
+            ('<joint name="l_hip" type="revolute">', '\\g<0><mimic joint="r_hip" multiplier="0" offset="5"/>'),
+            "a coupling moves joint 'l_hip' to 5, beyond its limits",
+        ),
+    ],
+    ids=["root below the ground", "coupling"],
+)
+def test_a_robot_that_cannot_start_makes_no_project(change, said, tmp_path):
+    old, new = change
+    with pytest.raises(AssetError, match=re.escape(said)):
+        surveyed(edited(urdf(tmp_path), (old, new.replace("\\g<0>", old))))
 
 
 LIMITED = 'type="revolute"><limit lower="-3.1416" upper="3.1416" effort="8" velocity="20"/>'

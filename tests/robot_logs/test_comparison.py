@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jobs.small import refused, wheelleg
 
-from wheelleg_exp.robot_logs.log_comparison import compare_log, held_findings, noise_of, with_imu
+from wheelleg_exp.robot_logs.log_comparison import clock_findings, compare_log, held_findings, noise_of, with_imu
 from wheelleg_exp.robot_logs.robot_log import RobotLog
 
 from .made import Columns, drive
@@ -155,6 +155,13 @@ def test_a_coarse_encoder_at_rest_is_not_stale(clean):
     assert not list(held_findings(log_of({"time": np.arange(300.0), "joint_pos.a": coarse}), ["joint_pos.a"]))
     frozen = np.where(np.arange(300) > 150, 0.3, np.random.default_rng(0).standard_normal(300))
     assert len(list(held_findings(log_of({"time": np.arange(300.0), "joint_pos.a": frozen}), ["joint_pos.a"]))) == 1
+
+
+def test_rows_that_are_not_in_order_are_named_first():
+    time = np.arange(300) / 60
+    time[[50, 200]] = time[[200, 50]]
+    first = next(clock_findings(log_of({"time": time}), 1 / 60))
+    assert (first.kind, first.value) == ("time", 51)
 
 
 @pytest.mark.parametrize(("shift", "findings"), [(0, 0), (-1, 1)])
