@@ -107,7 +107,7 @@ def words(tmp_path, monkeypatch):
     for name, text in {"configs/robot/one_leg.yaml": ROBOT, "assets/one_leg.urdf": URDF}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    options = ["--robot", "one_leg", "--config-dir", "configs", "--weight", "wheel=0.05,0.015", "-o", "mine.yaml"]
+    options = ["--robot", "one_leg", "--config-dir", "configs", "--weight", "wheel=0.05,0.015", "--output", "mine.yaml"]
     return ["identify", "log.csv", *options, "--drive-rate", "1200", "--json"]
 
 
