@@ -100,6 +100,6 @@ def test_a_folder_holds_one_subject():
     assert {folder: count for folder, count in crowded.items() if count > MOST_FILES} == {}
 
 
-def test_every_package_says_what_it_offers():
+def test_every_package_declares_its_public_names():
     trees = {str(path): ast.parse(path.read_text()) for path in PACKAGE.rglob("__init__.py")}
     assert [path for path, tree in trees.items() if len(ast.get_docstring(tree) or "") < 80] == []

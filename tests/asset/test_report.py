@@ -67,7 +67,7 @@ def test_an_unread_physics_attribute_is_named_with_its_value(tmp_path, name):
     assert float(entry.values["/bot/j"]) == 0.1
 
 
-def test_a_scene_beside_the_robot_is_read_and_its_rest_is_named(tmp_path):
+def test_a_scene_next_to_the_robot_is_read_and_its_remaining_parts_are_named(tmp_path):
     scene = 'def PhysicsScene "scene"\n{\n    uint physxScene:timeStepsPerSecond = 120\n}'
     _, done = converted(write(tmp_path, link("a"), outside=scene))
     (entry,) = [item for item in done.report.left_out if item.name == "physxScene:timeStepsPerSecond"]
@@ -93,7 +93,7 @@ def test_a_schema_that_moves_the_robot_and_is_not_read_is_warned_about(tmp_path,
 
 
 @pytest.mark.parametrize("schema", ["PhysxNobodyKnowsAPI", "NobodyKnowsAPI"])
-def test_an_unknown_schema_of_physics_is_named_and_no_other(tmp_path, schema):
+def test_only_an_unknown_schema_of_physics_is_named(tmp_path, schema):
     _, done = converted(write(tmp_path, link("a", apis=schema)))
     assert ([item.name for item in done.report.left_out] == [schema]) is schema.startswith("Physx")
 
@@ -132,7 +132,7 @@ def test_a_material_outside_the_default_prim_is_accounted_for(tmp_path):
     assert ("/bot/a/s", "material:binding:physics") in {(item.path, item.name) for item in done.report.mapped}
 
 
-def test_a_texture_and_a_library_that_are_not_there_are_reported_and_no_end(tmp_path):
+def test_a_missing_texture_or_library_is_reported_and_does_not_stop_the_import(tmp_path):
     assets = "asset inputs:diffuse_texture = @gone.png@; asset info:mdl:sourceAsset = @OmniPBR.mdl@"
     _, done = converted(write(tmp_path, link("a") + f'def Material "m" {{ def Shader "s" {{ {assets}; }}\n}}\n'))
     left = {item.name: item for item in done.report.left_out}

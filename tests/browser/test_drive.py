@@ -170,7 +170,7 @@ def test_a_gamepad_drives(driving: Driving):
     assert asks()
 
 
-def test_a_port_that_is_taken_is_told():
+def test_a_port_in_use_is_reported():
     with DrivePage(0, ["own"], []) as page:
         second = DrivePage(int(page.url.rsplit(":", 1)[1].strip("/")), ["own"], [])
         with pytest.raises(WheellegError, match=r"--port: port .* is in use"):

@@ -105,6 +105,6 @@ def test_a_wrong_choice_is_refused_in_one_message(root, words, expected):
 
 
 @pytest.mark.parametrize(("words", "of"), [((), 5), (("--sweep", "latest"), 4)])
-def test_a_list_without_matches_says_so(root, words, of):
+def test_an_empty_list_is_reported(root, words, of):
     said = wheelleg("list", "runs", "--filter", "return>1e3", *words)
     assert (said.status, said.out) == (0, f"no run of {of} matches\n")

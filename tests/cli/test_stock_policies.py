@@ -30,7 +30,7 @@ def copied_policies(own_folders, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_shipped_policy_keeps_eight_robots_on_their_wheels(own_folders, name):
+def test_a_shipped_policy_balances_eight_robots(own_folders, name):
     said = wheelleg("play", f"stock:{name}", "env.num_envs=8", *QUICK)
     assert said.status == 0, said.err
     played = json.loads(said.out)

@@ -77,7 +77,7 @@ def test_rows_that_cannot_be_a_table_are_blocks_with_a_line_for_each_cell(capsys
 
 
 @pytest.mark.parametrize("width", [20, 33, 72])
-def test_wrapping_keeps_every_word_and_the_indent(width):
+def test_wrapping_preserves_words_and_indent(width):
     text = f"  {LONG}/a/long/path/that/is/longer/than/the/width/of/all.these_lines and the end"
     lines = wrapped(text, width)
     assert all(len(line) <= width for line in lines)

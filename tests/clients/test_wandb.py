@@ -81,7 +81,7 @@ def test_scalars_config_and_name_are_sent_and_nothing_else(offline, tmp_path):
     assert not [path for path in run.rglob("*") if "wandb" in path.name]
 
 
-def test_a_resume_goes_on_with_the_same_run_and_changes_no_number(offline, tmp_path):
+def test_a_resume_continues_the_same_run_and_changes_no_number(offline, tmp_path):
     assert wheelleg("train", *SMALL, "agent.logger=wandb", f"run.root={tmp_path / 'a'}").status == 0
     assert wheelleg("train", *SMALL, f"run.root={tmp_path / 'b'}").status == 0
     (run,), (other,) = (tmp_path / "a" / "stand").iterdir(), (tmp_path / "b" / "stand").iterdir()
@@ -96,7 +96,7 @@ def test_a_resume_goes_on_with_the_same_run_and_changes_no_number(offline, tmp_p
     assert list(history(second)) == [3]
 
 
-def test_without_a_login_one_message_says_what_to_do(tmp_path, monkeypatch):
+def test_without_a_login_the_message_names_the_remedy(tmp_path, monkeypatch):
     for name in ("WANDB_MODE", "WANDB_API_KEY", "NETRC"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))

@@ -236,7 +236,7 @@ def test_mistakes_of_every_kind_are_reported_together(stock):
     ids=lambda words: " ".join(words) if all("=" in w for w in words) else "",
 )
 @pytest.mark.usefixtures("unchecked")
-def test_what_a_sweep_cannot_do_is_told_with_what_to_write(stock, words, parts_of_the_message):
+def test_an_unsupported_sweep_is_rejected_with_the_right_syntax(stock, words, parts_of_the_message):
     told = _mistakes(*words)
     assert [part for part in parts_of_the_message if part not in told[0]] == []
 

@@ -35,7 +35,7 @@ def test_a_table_s_figures_are_those_that_are_computed(table):
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_within_a_table_a_label_says_one_thing(table):
+def test_labels_of_a_table_are_unique(table):
     labels = [found.label for found in TABLES[table].values()]
     assert len(set(labels)) == len(labels)
     assert all(found.meaning.endswith(".") for found in TABLES[table].values())
@@ -74,7 +74,7 @@ def test_what_height_and_pitch_leave_out_stands_in_their_labels():
     )
 
 
-def test_a_share_of_few_says_of_how_many():
+def test_a_share_of_few_episodes_shows_their_number():
     assert (share(1, 1), share(0, 3), share(0, 0)) == ("100.0% (1 of 1)", "0.0% (0 of 3)", "-")
 
 

@@ -22,7 +22,7 @@ def made() -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", ["reference.md", "terms.md", "rules.md", "figures.md", "modules.md"])
-def test_a_page_is_what_the_files_say(made, name):
+def test_a_page_matches_the_files(made, name):
     kept = (DOCS / name).read_text(encoding="utf-8")
     assert kept == made[name], "run: python docs/make_reference.py"
 

@@ -74,7 +74,7 @@ def test_a_returned_buffer_is_the_present_one():
 
 
 @pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
-def test_a_tensor_that_moves_from_one_buffer_to_another_keeps_its_numbers(order):
+def test_a_tensor_that_moves_between_buffers_is_unchanged(order):
     term = Made(**{name: torch.zeros(2) for name in order})  # The graph copies the buffers in this order.
     _, run = make_part(lambda: term.now - term.last, term)
     for step in range(1, 9):

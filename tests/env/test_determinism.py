@@ -113,7 +113,7 @@ def test_another_seed_gives_another_rollout(make):
     assert not torch.equal(_rollout(first, 2)[-1][4], _rollout(second, 2)[-1][4])
 
 
-def test_a_reset_with_a_seed_starts_its_draws_anew(make):
+def test_a_reset_with_a_seed_restarts_its_draws(make):
     env = make()
     drawn = []
     for seed in (5, None, 5):
@@ -135,7 +135,7 @@ def test_a_saved_state_continues_to_the_bit_in_a_new_environment(make, steps, nt
     _same(_rollout(first, 40, steps), _rollout(second, 40, steps))
 
 
-def test_saving_changes_nothing_and_the_saved_state_stands_still(make):
+def test_saving_changes_nothing_and_the_saved_state_is_constant(make):
     first, second = (_lived(make(), 5) for _ in range(2))
     saved = second.state_dict()
     kept = pickle.dumps(saved)
@@ -143,7 +143,7 @@ def test_saving_changes_nothing_and_the_saved_state_stands_still(make):
     assert pickle.dumps(saved) == kept
 
 
-def test_looking_at_things_changes_no_trajectory(make):
+def test_reading_values_changes_no_trajectory(make):
     plain, looked = (_lived(make(), 0) for _ in range(2))
     looked.keep_final_obs = True
     data = looked.scene.robot.data

@@ -64,7 +64,7 @@ def test_a_time_out_counts_as_alive(start_env):
     assert reward.tolist() == pytest.approx([0.02] * 4)
 
 
-def test_the_log_stays_between_resets_and_says_whether_it_is_new(start_env):
+def test_the_log_stays_between_resets_and_marks_new_entries(start_env):
     env = start_env(episode_length_s=0.06, rewards={"alive": ALIVE})
     fresh, logs = [], []
     for _ in range(7):

@@ -115,7 +115,7 @@ def test_an_observation_of_a_group_that_is_not_joined_names_its_term(make_env):
     assert caught.value.key == "env.observations.policy.terms.x"
 
 
-def test_who_resets_by_hand_is_shown_what_has_failed(make_env):
+def test_a_manual_reset_reports_what_has_failed(make_env):
     env = make_env()
     env.autoreset = "disabled"
     env.reset()
@@ -145,7 +145,7 @@ WRITES = {
 
 @pytest.mark.parametrize("mode", ["startup", "reset", "interval", "mine"])
 @pytest.mark.parametrize("what", WRITES)
-def test_what_an_event_writes_is_looked_at_as_it_is_written(make_env, what, mode):
+def test_values_are_checked_when_an_event_writes_them(make_env, what, mode):
     spies.VALUES["write"] = WRITES[what]
     node = {"_target_": spies.HERE + "writes", "key": "write", "mode": mode}
     node |= {"interval_range_s": [0.02, 0.02]} if mode == "interval" else {}

@@ -30,7 +30,7 @@ def test_the_observation_has_the_articles_widths(env):
     assert (critic["base_lin_vel"], critic["joint_effort"]) == (slice(125, 140), slice(140, 170))
 
 
-def test_each_place_of_the_observation_holds_what_the_map_says(env):
+def test_the_observation_matches_its_documented_layout(env):
     env.reset()
     data, frames = env.scene.robot.data, []
     signs, travel = torch.tensor(env.command_manager.get_term("base_velocity").wheel_signs), torch.zeros(8, 2)
@@ -92,7 +92,7 @@ def test_failing_costs_200_times_the_time_step(env):
     assert reward[0] == pytest.approx(5 / 60, abs=0.1)
 
 
-def test_materials_masses_and_wrenches_lie_where_the_article_says(env):
+def test_materials_masses_and_wrenches_match_the_article(env):
     env.reset()
     friction = torch.as_tensor(env.scene.sim.batch.expanded("geom_friction").copy())
     robot = [g for g in range(env.scene.model.ngeom) if env.scene.model.geom_bodyid[g] > 0]

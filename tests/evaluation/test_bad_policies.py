@@ -70,7 +70,7 @@ def test_no_bad_policy_passes_a_gate_of_driving(found, phase, policy):
 
 
 @pytest.mark.parametrize("policy", ["zeros", "noise"])
-def test_who_falls_does_not_pass_the_gate_of_standing(found, policy):
+def test_a_policy_that_falls_fails_the_gate_of_standing(found, policy):
     verdict = judge(gate("stand"), values(found(policy, "gate_stand")))
     assert not verdict.passed
     assert verdict.why[0] == "stand/survival is 0, but must be at least 1"
@@ -125,7 +125,7 @@ def test_who_falls_at_once_has_no_success_anywhere(found, policy):
     assert set(ground.values()) == {0.0}
 
 
-def test_who_never_moves_has_what_standing_still_deserves(found):
+def test_a_policy_that_never_moves_has_the_score_of_standing_still(found):
     walked = found("never moves", "walk")
     assert walked.value("walk/survival") == 1.0
     assert walked.value("walk/commandable_area") == pytest.approx(1 / 9)
@@ -140,7 +140,7 @@ def test_who_never_moves_has_what_standing_still_deserves(found):
     assert found("never moves", "push").value("push/limit_0s") > 0.1
 
 
-def test_who_goes_the_wrong_way_is_worse_than_who_stands(found):
+def test_driving_the_wrong_way_is_worse_than_standing(found):
     walked = found("wrong sign", "walk")
     for axis in ("vx", "wz"):
         assert walked.value(f"walk/gain_{axis}") == pytest.approx(-1.0, abs=0.1)

@@ -48,7 +48,7 @@ def test_motion_while_settling_and_after_a_fall_does_not_count():
     assert math.isnan(one(motion_columns.drift(made, 1.0), "drift_max_m"))
 
 
-def test_a_fall_is_told_at_the_moments_after_it():
+def test_a_fall_appears_at_the_moments_after_it():
     made = still(20.0, 2)
     fall(made, 1, 7.0)
     columns = motion_columns.survival(made, [5.0, 20.0, 60.0])
@@ -101,7 +101,7 @@ def test_torques_are_root_mean_squares_over_joints_and_sign_changes_are_per_whee
     assert one(columns, "torque_rms_hips_nm") == 0.0
 
 
-def test_saturation_is_a_share_and_its_worst_joint_is_told():
+def test_saturation_is_a_share_with_its_worst_joint():
     made = still(3.0)
     made.saturated[..., 3] = 1.0
     columns = motion_columns.group_effort(Motion(made, parts(), 1.0))
@@ -134,7 +134,7 @@ def test_alternating_actions_have_the_greatest_rate_and_acceleration():
 
 
 @pytest.mark.parametrize(("hertz", "share"), [(2.0, 0.0), (20.0, 1.0)])
-def test_power_above_ten_hertz_is_told_from_power_below(hertz, share):
+def test_power_above_and_below_ten_hertz_is_separated(hertz, share):
     made = still(11.0)
     made.torque[..., 2] = 1.0 + torch.sin(2 * math.pi * hertz * times(made)).unsqueeze(1)  # The mean must not count.
     assert one(measured(Motion(made, parts(), 1.0)), "fast_power_share") == pytest.approx(share, abs=1e-4)

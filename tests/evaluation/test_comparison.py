@@ -54,7 +54,7 @@ def test_small_gains_on_the_same_scenarios_are_found_only_in_pairs():
     assert (height.test.test, height.outcome) == ("Mann-Whitney", "")
 
 
-def test_who_falls_more_is_worse_and_the_words_say_in_what():
+def test_a_policy_that_falls_more_is_worse_and_the_metric_is_named():
     fallen = np.arange(N) >= 20
     found = differences([made(fallen, 1e-3)], [made(1.0, 1e-3)])
     row = by_name(found)["stand/survival"]
@@ -74,7 +74,7 @@ def test_one_is_better_in_this_and_worse_in_that():
     assert said.endswith("(stand/drift).")
 
 
-def test_a_worst_value_is_told_and_not_judged():
+def test_a_worst_value_is_shown_and_not_judged():
     drifts = np.linspace(0.01, 0.02, N)
     first, second = drifts.copy(), drifts + 1e-3
     first[-1] = 0.05  # The first method drifts less in all other episodes.

@@ -54,7 +54,7 @@ def test_the_same_policy_gets_the_same_plain_rows_and_another_seed_other_starts(
     assert (content["about"]["wheels"], content["about"]["profile"]) == (["l03", "r03"], "article")
 
 
-def test_the_reference_stands_as_was_measured_of_it_elsewhere(task):
+def test_the_reference_stands_as_in_an_independent_measurement(task):
     found = evaluate(*task, balancer(1.0), protocol("stand", *STAND))
     assert found.value("stand/survival") == 1.0
     assert 0.0004 < found.value("stand/height_rmse") < 0.002  # 1.04 mm
@@ -71,7 +71,7 @@ def test_the_limit_of_the_reference_is_what_was_measured_elsewhere(task):
     assert found.value("push/recovered") == 1.0
 
 
-def test_every_tile_gets_its_episodes_and_who_falls_succeeds_on_none(task):
+def test_every_tile_gets_its_episodes_and_a_falling_policy_succeeds_on_no_tile(task):
     short = ("protocol.strip=null", *words("terrain", episodes=2, levels=2, horizon_s=1.5))
     kinds = words("terrain.scene.terrain.sub_terrains", **dict.fromkeys(("grid", "waves", "obstacles"), "null"))
     found = evaluate(*task, zeros, protocol("terrain", *short, *kinds))

@@ -32,7 +32,7 @@ def rollout(task, scenarios, cfg=None) -> Rollout:
     )
 
 
-def test_commands_come_when_the_table_says_and_every_observation_shows_them(task):
+def test_commands_follow_the_table_and_appear_in_every_observation(task):
     # Use binary fractions, because the term adds the difference to the old command, which would round other numbers.
     cells = (((0.125, 0.0, 0.0), (-0.25, 0.0, 0.25)), ((0.0, 0.0, 0.5), (0.0, 0.0, 0.0)))
     made = rollout(task, Scenarios("steps", 0.2, (0.0, 0.1), cells, ("a", "b"), 1))
@@ -78,7 +78,7 @@ def held(task, name, term, make, *changes) -> torch.Tensor:
     return torch.stack(seen)
 
 
-def test_each_episode_keeps_its_commanded_height(task):
+def test_each_episode_has_a_constant_height_command(task):
     changes = words("height", episodes=1, heights="[0.05,0.09]", lin_vel_x="[0.0]")
     seen = held(task, "height", "base_pose", at_heights, *changes)
     assert torch.equal(seen, torch.tensor([[0.05, 0.0, 0.0], [0.09, 0.0, 0.0]]).expand_as(seen))
@@ -105,7 +105,7 @@ def test_a_task_without_a_command_for_jumps_cannot_be_tested_for_jumps(task):
         Rollout(env, table, options)
 
 
-def test_digests_of_tables_tell_every_difference():
+def test_digests_of_tables_depend_on_every_value():
     zero, one = ((0.0, 0.0, 0.0),), ((0.1, 0.0, 0.0),)
     table = Scenarios("stand", 5.0, (0.0,), (zero,), ("a",), 2)
     text = '["stand", 5.0, [0.0], [[[0.0, 0.0, 0.0]]], ["a"], 2, "", 1]'  # The digest must not change between versions.
@@ -266,7 +266,7 @@ def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task, robot):
 
 
 @pytest.mark.parametrize("skill", ["height", "jump"])
-def test_the_reference_keeps_the_height_but_does_not_jump(task, skill):
+def test_the_reference_holds_the_height_but_does_not_jump(task, skill):
     small = {"height": {"heights": "[0.0725]", "lin_vel_x": "[0.0]", "horizon_s": 3.0}}
     small["jump"] = {"lin_vel_x": "[0.0]", "at_s": 2.0, "after_s": 2.0, "within_s": 1.5}
     env = compose([f"task={skill}"]).config["env"]
@@ -326,7 +326,7 @@ def test_changes_that_cannot_be_made_are_refused(override, key, word):
 
 
 @pytest.mark.parametrize("variant", ["sensors", "full"])
-def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_keeps_it(variant):
+def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_includes_it(variant):
     env = compose(["task=stand", f"realism={variant}"]).config["env"]
     for realism, is_ideal in (("none", True), ("own", False)):
         options = read_section(Protocol, protocol("stand", f"protocol.realism={realism}"), "protocol")

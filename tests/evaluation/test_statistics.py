@@ -52,7 +52,7 @@ def test_wilcoxon_agrees_with_its_normal_approximation():
     assert wilcoxon(first, second).p == pytest.approx(erfc(abs(z) / np.sqrt(2)), rel=1e-6)
 
 
-def test_holm_multiplies_the_least_by_all_and_keeps_the_order():
+def test_holm_multiplies_the_smallest_by_the_count_and_preserves_order():
     assert holm({"a": 0.04, "b": 0.01, "c": 0.03}) == pytest.approx({"a": 0.06, "b": 0.03, "c": 0.06})
     assert holm({"a": 0.9, "b": 0.8}) == {"a": 1.0, "b": 1.0}
 
@@ -78,7 +78,7 @@ def test_the_interval_over_seeds_adds_both_variances():
     assert (found.high - found.low) / (2 * 1.96) == pytest.approx(expected, rel=0.05)
 
 
-def test_the_interval_covers_the_truth_about_as_often_as_it_says():
+def test_the_interval_covers_the_truth_at_its_nominal_rate():
     rng, hits = generator(), 0
     for _ in range(200):
         centres = rng.normal(0.0, 1.0, 20)

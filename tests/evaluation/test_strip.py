@@ -34,7 +34,7 @@ def made_ground(asked: Strip) -> TerrainGenerator:
     return ground
 
 
-def test_the_strips_lie_where_the_config_says_and_are_as_rough():
+def test_strips_have_the_configured_place_and_roughness():
     asked = options(amplitudes=[0.002, 0.004])
     ground, cell = made_ground(asked), torch.tensor([0, 1])
     rollout = SimpleNamespace(

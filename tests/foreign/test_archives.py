@@ -269,7 +269,7 @@ def test_no_command_runs_code_of_a_record_or_trusts_it(archive, kind):
         assert 0 in given or kind != "run" or command not in USING, command
 
 
-def test_no_command_that_is_called_beside_records_runs_their_code(archive):
+def test_no_command_runs_code_of_records_in_its_working_folder(archive):
     assert {*TAKING, *OTHERS} == set(COMMANDS)
     for plant in RECORDS.values():
         plant(archive)

@@ -51,7 +51,7 @@ READ = ["params/env.yaml", "iterations.jsonl", "recording.rrd", "source/git.json
 
 
 @pytest.mark.parametrize(("name", "make"), every_second(READ, [os.mkfifo, lambda path: path.symlink_to("/dev/zero")]))
-def test_a_report_says_so_and_reads_nothing_of_it(trial, name, make):
+def test_a_report_names_it_and_reads_nothing_of_it(trial, name, make):
     trial.replace(name, make)
     trial.try_("report", 0, name)
 

@@ -159,7 +159,7 @@ def test_a_snapshot_contains_nothing_of_another_folder(repositories, plant):
     assert [name for name, text in texts.items() if b"precious" in text or b"diary" in text] == []
 
 
-def test_settings_of_the_environment_hold_beside_ours(repositories, monkeypatch):
+def test_settings_of_the_environment_apply_together_with_ours(repositories, monkeypatch):
     for name, value in {"COUNT": "1", "KEY_0": "user.name", "VALUE_0": "somebody"}.items():
         monkeypatch.setenv(f"GIT_CONFIG_{name}", value)
     assert run_git(repositories.outer, "config", "user.name") == b"somebody\n"

@@ -157,7 +157,7 @@ def test_interpolations_that_double_each_other_are_refused(trial, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["${" * 1500, "${oc.decode:" + "[" * 5000 + "}", "${a" + "${b}" * 40_000 + "}"])
-def test_interpolations_without_end_are_refused(trial, text):
+def test_endless_interpolations_are_refused(trial, text):
     trial.yaml(CONFIG, lambda config: config["run"].update(name=text))
     trial.try_("resume", 2, CONFIG)
     trial.try_("verify", (0, 1))

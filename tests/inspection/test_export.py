@@ -42,7 +42,7 @@ def test_a_folder_has_one_parquet_file_a_group_with_units_and_origin(played: Rec
     assert about == {"recording_id": "played", "purpose": "play", "step_dt": DT}
 
 
-def test_csv_gives_the_same_bits_and_has_the_units_beside_it(played: Recording, tmp_path: Path) -> None:
+def test_csv_has_the_same_bits_and_a_file_of_units(played: Recording, tmp_path: Path) -> None:
     export(played, "csv", tmp_path / "out")
     expected = numbers(steps_of(training=False))
     found = read_csv(tmp_path / "out" / "rewards.csv")

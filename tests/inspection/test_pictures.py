@@ -165,14 +165,14 @@ def test_a_pose_that_is_not_finite_is_the_last_that_was() -> None:
     np.testing.assert_array_equal(recorded_scene._last_finite(rows), [[1, 2], [1, 2], [1, 2], [3, 4]])
 
 
-def test_a_recording_without_a_robot_is_told(tmp_path: Path) -> None:
+def test_a_recording_without_a_robot_is_rejected(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "other.rrd")
     writer.numbers("something", [1.0])
     with pytest.raises(WheellegError, match="no moving robot"):
         scenery(Recording(writer.close()))
 
 
-def test_without_graphics_the_message_says_what_to_install(shown: Scenery, monkeypatch, tmp_path: Path) -> None:
+def test_without_graphics_the_message_names_the_package(shown: Scenery, monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # GLFW needs a display, which is missing.
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
         monkeypatch.delenv(name, raising=False)
@@ -208,7 +208,7 @@ def test_drawing_leaves_no_process_and_no_log_behind(shown, graphics, tmp_path: 
     assert not list(tmp_path.iterdir())
 
 
-def test_looking_needs_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) -> None:
+def test_queries_need_neither_torch_nor_mujoco_in_this_process(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "r.rrd")
     code = (
         "import sys; from pathlib import Path; from wheelleg_exp.recording.reading.recording_reader import Recording\n"
@@ -234,7 +234,7 @@ def test_a_terrain_and_meshes_without_an_area_are_no_trouble(shown: Scenery, gra
     assert is_orange(image).mean() > 0.03
 
 
-def test_the_moment_of_a_term_is_looked_for_in_every_environment(tmp_path: Path) -> None:
+def test_the_moment_of_a_term_is_searched_in_every_environment(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r.rrd")
     for env_id, fell_at in ((0, 40), (3, 25), (7, 60)):
         fired = np.arange(1, 61) == fell_at

@@ -15,7 +15,7 @@ def inspect(recording: Recording, *words: object) -> int:
     return main(["inspect", str(recording.path), *map(str, words)])
 
 
-def test_a_plot_and_an_export_are_told_as_one_document(played, tmp_path: Path, capsys) -> None:
+def test_a_plot_and_an_export_print_one_json_document(played, tmp_path: Path, capsys) -> None:
     words = ("--plot", tmp_path / "p.svg", "--export", "parquet", "-o", tmp_path / "out", "--json")
     assert inspect(played, *words) == 0
     document = json.loads(capsys.readouterr().out)
@@ -32,7 +32,7 @@ def test_chosen_terms_and_two_recordings_are_plotted(played, tmp_path: Path, sev
         assert [label for label in labels if label not in text] == []
 
 
-def test_a_screenshot_says_its_moment(trained, tmp_path: Path, capsys, graphics: str) -> None:
+def test_a_screenshot_reports_its_time(trained, tmp_path: Path, capsys, graphics: str) -> None:
     path = tmp_path / "s.png"
     words = ("--screenshot", path, "--iteration", 5, "--at", "0.1s", "--width", 64, "--height", 48, "--json")
     assert inspect(trained, *words) == 0
@@ -42,7 +42,7 @@ def test_a_screenshot_says_its_moment(trained, tmp_path: Path, capsys, graphics:
         assert image.size == (64, 48)
 
 
-def test_a_video_says_how_long_it_is(played, tmp_path: Path, capsys, graphics: str) -> None:
+def test_a_video_reports_its_length(played, tmp_path: Path, capsys, graphics: str) -> None:
     words = ("--video", tmp_path / "v.mp4", "--to", "0.2s", "--fps", 10, "--width", 64, "--height", 48)
     assert inspect(played, *words) == 0
     assert "2 pictures, 0.2 s" in capsys.readouterr().out

@@ -88,7 +88,7 @@ def test_reward_shares_are_the_means_of_the_weighted_terms(played: Recording) ->
     assert any(f"({share:.0%})" in text.get_text() for text in axes.texts)
 
 
-def test_what_a_training_says_of_its_terms_is_not_called_per_second(trained: Recording) -> None:
+def test_terms_of_a_training_are_not_labelled_per_second(trained: Recording) -> None:
     found = recording_plots.make(trained, "reward_shares").get_axes()
     titles, labels = zip(*((axes.get_title("left"), axes.get_xlabel()) for axes in found), strict=True)
     assert [title.endswith("sum of an episode / longest episode's seconds") for title in titles] == [True, True]
@@ -117,7 +117,7 @@ def test_terms_are_drawn_with_their_units(played: Recording, trained: Recording)
     np.testing.assert_allclose(values, scalar_values()["Loss/value"])
 
 
-def test_the_largest_force_of_the_history_is_drawn_beside_that_at_its_end(tmp_path: Path) -> None:
+def test_the_largest_and_the_last_force_of_the_history_are_drawn(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("base/height", [1.0, 1.0])
     writer.numbers("contacts/feet", [[1.0, 0.0], [3.0, 0.0]], names=["l", "r"])

@@ -75,7 +75,7 @@ def test_the_rows_around_reach_as_far_as_asked(recording):
     assert table.column_names == ["step", "sim_time", "base.pitch"]
 
 
-def test_a_selection_is_where_is_looked_not_what_is_shown(recording):
+def test_a_selection_limits_the_search_and_not_the_output(recording):
     selection = Selection(begin=Length(140, True))
     condition = Condition("terminations.fallen or terminations.time_out")
     (hit,) = find_hits(recording, condition, around=Length(20, True), selection=selection)
@@ -93,7 +93,7 @@ def test_every_environment_is_searched_or_the_chosen_one(tmp_path):
     assert (hit.first.env_id, hit.first.iteration) == (None, 6)
 
 
-def test_a_number_is_named_by_its_path_or_the_nearest_name_is_told(recording):
+def test_a_number_is_named_by_its_path_or_the_nearest_name_is_suggested(recording):
     (stats,) = term_statistics(recording, ["rewards/alive"], Selection()).values()
     assert (stats.count, stats.mean) == (200, 3.0)
     nearest = {"base.pitsh": "base.pitch", "pitch": "base.pitch", "effort": "rewards.effort"}

@@ -68,7 +68,7 @@ MISTAKES: list[tuple[Call, str]] = [
 
 @pytest.mark.pictures
 @pytest.mark.parametrize(("call", "message"), MISTAKES)
-def test_a_mistake_is_told_and_no_file_changes(played, tmp_path: Path, call: Call, message: str) -> None:
+def test_a_mistake_is_reported_and_no_file_changes(played, tmp_path: Path, call: Call, message: str) -> None:
     for name in ("taken.mp4", "taken.png", "taken.svg"):
         (tmp_path / name).write_bytes(b"mine")
     (tmp_path / "taken").mkdir()

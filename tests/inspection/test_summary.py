@@ -164,7 +164,7 @@ def test_samples_and_the_whole_are_figures_of_the_same_episodes(tmp_path):
     assert (sample.survival, sample.mean_duration_s, sample.mean_reward) == (None, None, None)
 
 
-def test_episodes_are_told_apart_by_their_own_marks_where_there_are(tmp_path):
+def test_episodes_are_separated_by_their_marks_if_present(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     writer.numbers("terminations/a", [0, 0, 1, 1])
     writer.numbers("terminations/b", [0, 0, 0, 1])
@@ -198,7 +198,7 @@ def test_a_summary_can_be_written_as_json(summary):
     assert document["base"]["pitch"]["quantiles"]["0.5"] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_an_environment_of_which_less_is_there_does_not_hide_the_others(tmp_path):
+def test_a_shorter_environment_does_not_hide_the_others(tmp_path):
     writer = Writer(tmp_path / "r.rrd")
     drive(writer, "env_0")
     writer.numbers("env_3/base/height", [5.0])

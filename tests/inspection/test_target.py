@@ -49,7 +49,7 @@ def test_a_file_belongs_to_no_run_and_a_folder_stands_for_its_only_recording(tmp
         find_target(tmp_path, "runs")
 
 
-def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
+def test_an_unrecorded_run_is_reported_with_its_plays(run):
     run.recording.unlink()
     run.hydra.mkdir()
     (run.hydra / "config.yaml").write_text("recording: {enabled: false}")
@@ -64,7 +64,7 @@ def test_a_run_that_was_not_recorded_says_so_and_names_its_plays(run):
         find_target("latest", "runs", play=True)
 
 
-def test_wrong_words_are_told_with_the_nearest(run, tmp_path):
+def test_unknown_words_are_reported_with_the_nearest(run, tmp_path):
     play(tmp_path / "walk.rrd")
     with pytest.raises(RunDirectoryError, match=r"there is no file 'wolk\.rrd'.*did you mean 'walk\.rrd'"):
         find_target("wolk.rrd", "runs")

@@ -68,7 +68,7 @@ def test_a_training_is_shown_sample_by_sample(trained: Recording, selection: Sel
     assert [int(shown.motion.step[rows[0]]) for rows in video_module._takes(shown, selection)] == firsts
 
 
-def test_nothing_chosen_is_told_with_what_there_is(trained: Recording, tmp_path: Path) -> None:
+def test_an_empty_choice_is_reported_with_the_choices(trained: Recording, tmp_path: Path) -> None:
     with pytest.raises(WheellegError) as caught:
         video(trained, tmp_path / "a.mp4", selection=Selection(iterations=(3, 4)), **SMALL)
     assert "samples start at the iterations 0, 5, 10" in str(caught.value)

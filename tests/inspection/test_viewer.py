@@ -113,7 +113,7 @@ def test_a_page_of_another_name_reads_nothing(served: WebViewer, host: str) -> N
     assert (status, body) == (403, b"")
 
 
-def test_a_port_that_is_taken_is_told(files, played: Recording) -> None:
+def test_a_port_in_use_is_reported(files, played: Recording) -> None:
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
@@ -209,7 +209,7 @@ def test_the_viewer_is_drawn_without_a_window(played: Recording, tmp_path: Path)
     assert orange.mean() > 0.002  # the robot's shell
 
 
-def test_a_viewer_without_a_driver_says_what_to_install(played: Recording, tmp_path: Path, monkeypatch) -> None:
+def test_a_viewer_without_a_driver_names_the_package(played: Recording, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
     with pytest.raises(WheellegError) as caught:
@@ -219,7 +219,7 @@ def test_a_viewer_without_a_driver_says_what_to_install(played: Recording, tmp_p
 
 
 @pytest.mark.parametrize("name", ["viewer.jpg", "taken.png"])
-def test_a_wrong_picture_path_is_told_before_a_viewer_starts(played, tmp_path, monkeypatch, name: str) -> None:
+def test_a_wrong_picture_path_is_reported_before_a_viewer_starts(played, tmp_path, monkeypatch, name: str) -> None:
     (tmp_path / "taken.png").write_bytes(b"mine")
     monkeypatch.setattr(rerun_viewer, "viewer", lambda *_: pytest.fail("started"))
     with pytest.raises(WheellegError):

@@ -180,7 +180,7 @@ def test_there_are_as_many_idioms_as_the_page_states_and_the_config_is_read_only
         resolved(env, fixed_tendon_names=["a"])
 
 
-def test_buffers_keep_the_last_samples_of_each_environment():
+def test_buffers_store_the_last_samples_of_each_environment():
     """The first sample after a reset also fills the older places, as in Isaac Lab."""
     late, again = (DelayBuffer(history_length=2, batch_size=3, device="cpu") for _ in range(2))
     made(late)

@@ -68,7 +68,7 @@ def test_an_episode_is_one_piece_of_motion(recorded: RunDirectory):
 
 
 @pytest.mark.train
-def test_a_resume_goes_on_with_the_dataset(recorded: RunDirectory, monkeypatch, tmp_path):
+def test_a_resume_continues_the_dataset(recorded: RunDirectory, monkeypatch, tmp_path):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     path = tmp_path / "runs" / "stand" / recorded.id
     shutil.copytree(recorded.path, path)

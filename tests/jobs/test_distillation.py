@@ -66,7 +66,7 @@ def test_the_exported_policy_is_the_student(student: RunDirectory):
     np.testing.assert_allclose(actions, hidden.numpy(), atol=1e-5)
 
 
-def test_a_student_that_was_stopped_goes_on_to_the_bit(student: RunDirectory, trained: Trained, tmp_path, monkeypatch):
+def test_a_stopped_student_resumes_to_the_bit(student: RunDirectory, trained: Trained, tmp_path, monkeypatch):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     teacher = tmp_path / "teacher.pt"
     shutil.copyfile(trained.run.latest_checkpoint(), teacher)

@@ -24,7 +24,7 @@ def evaluated(*words) -> dict:
     return json.loads(succeed("evaluate", *words, *SHORT, "--json").out)
 
 
-def test_a_kept_evaluation_is_read_back_as_it_was(run):
+def test_a_cached_evaluation_is_read_back_unchanged(run):
     content = evaluated(run.path)
     (folder,) = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")]
     found = read_evaluation(folder)
@@ -33,7 +33,7 @@ def test_a_kept_evaluation_is_read_back_as_it_was(run):
     assert np.isfinite(found.episodes["time_to_failure_s"]).all()
 
 
-def test_a_run_beside_a_copy_and_the_reference(run, tmp_path):
+def test_a_run_versus_a_copy_and_the_reference(run, tmp_path):
     other = shutil.copytree(run.path, tmp_path / "other")
     found = evaluated(run.path, "--against", other, "--reference")
     assert len(found["evaluations"]) == 3
@@ -74,7 +74,7 @@ def test_trainings_of_different_robots_do_not_count_as_one_method():
     assert "--against: the runs 'stand_" in refused("evaluate", "stock:walk", *against, *SHORT)
 
 
-def test_what_is_kept_is_found_in_whatever_words_its_protocol_was_asked_for(run):
+def test_a_cached_evaluation_is_found_under_any_spelling_of_its_protocol(run):
     first = evaluated(run.path)
     again = evaluated(run.path, "protocol=stand", "protocol.stand.episodes=4", "--kept")
     assert again["folder"] == first["folder"]

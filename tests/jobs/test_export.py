@@ -96,7 +96,7 @@ def test_the_networks_of_the_bundle_agree_and_the_run_has_the_same(bundle, train
     np.testing.assert_allclose(actions.numpy(), recorded["actions"], atol=1e-5)
 
 
-def test_a_runner_that_is_another_policy_is_told(bundle, tmp_path):
+def test_a_runner_of_another_policy_is_reported(bundle, tmp_path):
     for name in ("policy.npz", "check.npz"):
         (tmp_path / name).write_bytes((bundle / name).read_bytes())
     for key, value in (("scale", 0.151), ("offset", 0.96)):
@@ -199,7 +199,7 @@ def test_the_specification_holds_what_a_deployer_needs(bundle):
     assert [path.name for path in bundle.iterdir() if path.is_file() and path.name not in text] == ["README.md"]
 
 
-def test_a_bundle_below_its_run_is_of_the_run_and_the_command_tells_what_it_made(run):
+def test_a_bundle_below_its_run_belongs_to_the_run_and_the_command_prints_its_path(run):
     document = json.loads(wheelleg("export", run.path, "--json").out)
     assert (document["folder"], document["lacks"]) == (str(run.exported / "bundle"), [])
     assert document["checkpoint"].endswith("model_2.pt")
@@ -563,7 +563,7 @@ def test_position_targets_stay_within_the_limits_of_the_joints(bundle):
     np.testing.assert_allclose(position, [limits[0, 1], limits[1, 0], limits[2, 0], limits[3, 1]], atol=1e-6)
 
 
-def test_the_bundle_says_what_the_joints_of_the_robot_must_be(bundle):
+def test_the_bundle_names_the_joints_that_the_robot_needs(bundle):
     spec, text = spec_of(bundle), (bundle / "README.md").read_text()
     assert (spec["armature"], spec["inertia"][2]) == (pytest.approx([0.05] * 6), pytest.approx(0.05 / 375, rel=0.01))
     assert spec["friction"] == spec["viscous_friction"] == [0.0] * 6

@@ -387,7 +387,7 @@ def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path)
         assert b"\0" + name + b"\0" not in object_file
 
 
-def test_a_log_keeps_an_orientation_that_the_first_row_lacks(bundle, tmp_path):
+def test_a_log_has_an_orientation_that_the_first_row_lacks(bundle, tmp_path):
     policy = runner.Policy(bundle)
     log = runner.Log(tmp_path / "log.csv", policy)
     for time, readings in ((0.0, {}), (1 / 60, {"base_quat": [0.8, 0.0, 0.6, 0.0]})):

@@ -62,7 +62,7 @@ def test_the_training_ends_with_status_3_and_names_the_term_the_iteration_and_a_
     assert (state["action"].shape, state["model.body_mass"].shape[0]) == ((16, 6), 16)
 
 
-def test_manifest_and_list_tell_it_and_the_last_whole_checkpoint_is_kept(failing):
+def test_manifest_and_list_show_it_and_the_last_complete_checkpoint_remains(failing):
     manifest = failing.run.manifest().data
     assert (manifest["status"], manifest["failure"]["key"]) == ("failed", "env.rewards.alive")
     assert FAILURE in manifest["files"]
@@ -82,7 +82,7 @@ def test_verify_finds_it_sound_and_a_lost_or_changed_file_wrong(failing, failed)
     assert wheelleg("verify", failed.path).status == 1
 
 
-def test_a_resume_goes_on_from_there_as_if_it_had_not_failed(failed, tmp_path):
+def test_a_resume_continues_as_if_the_run_had_not_failed(failed, tmp_path):
     succeed("train", *WORDS, f"run.root={tmp_path / 'straight'}")
     other = only_run(tmp_path / "straight")
     succeed("resume", failed.path)
@@ -105,7 +105,7 @@ def test_a_learning_rate_that_blows_up_fails_with_the_algorithms_key(tmp_path):
         assert arrays["learning_rate"] == pytest.approx(1e30)
 
 
-def test_a_single_episode_that_ends_so_is_told_at_the_end_and_in_the_list(tmp_path, monkeypatch):
+def test_a_single_such_episode_is_reported_at_the_end_and_in_the_list(tmp_path, monkeypatch):
     spoil(monkeypatch, range(5, 6), rows=slice(3, 4))
     said = wheelleg("train", *WORDS, "agent.max_iterations=1", f"run.root={tmp_path}")
     note = "episodes that ended because a number was not finite: env.rewards.alive 1"
@@ -132,7 +132,7 @@ def test_a_play_reports_rewards_that_are_not_finite_and_leaves_their_episodes_ou
     assert "ended by numbers that are not finite: env.rewards.alive  1" in said.out
 
 
-def test_a_policy_whose_actions_are_none_fails_its_play(run, monkeypatch):
+def test_a_policy_with_nan_actions_fails_its_play(run, monkeypatch):
     from wheelleg_exp.jobs import play_policy as module
 
     load = module.load_policy
@@ -149,7 +149,7 @@ def test_a_policy_whose_actions_are_none_fails_its_play(run, monkeypatch):
 
 
 @pytest.mark.parametrize("agent", ["zero-agent", "random-agent"])
-def test_an_agent_whose_rewards_are_none_says_so(agent, tmp_path, monkeypatch):
+def test_an_agent_reports_rewards_that_are_not_finite(agent, tmp_path, monkeypatch):
     spoil(monkeypatch, range(10**9))
     said = wheelleg(agent, *[*TINY, "recording.enabled=false", f"run.root={tmp_path}", "--steps", "5"])
     assert said.status == 3

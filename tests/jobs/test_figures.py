@@ -109,7 +109,7 @@ def test_a_case_by_hand():
     assert (figures.settle_s, figures.settled_episodes, figures.settled_steps) == (2 * STEP, 2, 3)
 
 
-def test_an_episode_whose_numbers_were_none_is_in_no_return_and_in_height_up_to_then():
+def test_an_episode_with_nan_counts_in_no_return_and_in_height_up_to_then():
     env, meter = standing()
     observe(env, meter, heights=(0.2, 0.3, 0.4), rewards=(1.0, 2.0, 4.0))
     env.extras = {"non_finite": {"keys": {1: ["env.sim"]}}}
@@ -129,7 +129,7 @@ def test_a_fall_at_the_time_out_is_no_survival_and_counts_once():
     assert meter.figures().ended_by == {"time_out": 1, "fell": 1, "time_out and fell": 1}
 
 
-def test_episodes_that_go_on_are_in_no_figure_of_ended_ones():
+def test_unfinished_episodes_do_not_count_as_ended():
     env, meter = standing()
     observe(env, meter, rewards=(1.0, 5.0, 9.0))
     assert (meter.figures().survival, meter.figures().mean_return) == (None, None)

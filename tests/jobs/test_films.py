@@ -54,7 +54,7 @@ def test_every_second_iteration_begins_a_film(filmed):
     assert shape(videos / "iteration_2.mp4") == (12, 360, 640, 30)  # The training ends after 24 steps.
 
 
-def test_what_is_shown_is_what_the_recording_holds(filmed):
+def test_the_film_shows_the_recorded_states(filmed):
     path, drawn = filmed
     recording = Recording(path / "recording.rrd")
     rows, steps = recording.values("state/qpos"), recording.table("state/qpos")["step"].to_numpy()
@@ -75,7 +75,7 @@ def test_a_film_changes_no_number_and_is_in_the_manifest(filmed, trained):
     succeed("verify", path)
 
 
-def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, tmp_path, monkeypatch):
+def test_a_resume_leaves_earlier_films_and_repeats_those_past_its_checkpoint(filmed, tmp_path, monkeypatch):
     monkeypatch.setattr(live_pictures, "_SAMPLES", 0)
     path = tmp_path / "runs" / "stand" / filmed[0].name
     shutil.copytree(filmed[0], path)
@@ -89,7 +89,7 @@ def test_a_resume_keeps_films_and_makes_those_past_its_checkpoint_anew(filmed, t
     assert wheelleg("verify", path).status == 0
 
 
-def test_a_machine_that_cannot_draw_says_so_before_there_is_a_run(tmp_path, monkeypatch):
+def test_a_machine_that_cannot_draw_is_reported_before_a_run_exists(tmp_path, monkeypatch):
     monkeypatch.setattr(renderer, "backends", lambda: ("none",))
     said = wheelleg("train", *FILMED, f"run.root={tmp_path / 'runs'}")
     assert (said.status, said.err.count("recording.video_every: drawing is not possible on this machine")) == (2, 1)

@@ -31,7 +31,7 @@ def project(tmp_path: Path) -> Path:
 
 
 @pytest.mark.train
-def test_a_run_is_resumed_played_and_replayed_on_the_ground_that_it_has_kept(project):
+def test_a_run_is_resumed_played_and_replayed_on_its_stored_ground(project):
     ground = project / "assets" / "grounds" / "hills.npy"
     words = ("--config-dir", project / "configs", "scene=hills", *TINY, f"run.root={project / 'runs'}")
     words = (*words, "recording.enabled=false", "agent.logger=null")

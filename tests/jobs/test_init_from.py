@@ -77,7 +77,7 @@ def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
     assert (said.status, [mistake["key"] for mistake in json.loads(said.out)["mistakes"]]) == (2, ["init_from"])
 
 
-def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(begun, trained: Trained, tmp_path):
+def test_optimiser_and_iterations_start_from_scratch_unless_requested(begun, trained: Trained, tmp_path):
     learned = train(tmp_path, trained.run.path, "agent.max_iterations=1", "init_from_what=learning")
     steps = {}
     for what, path in (("networks", begun.checkpoint(0)), ("learning", learned.checkpoint(0))):
@@ -88,7 +88,7 @@ def test_optimiser_and_iterations_begin_anew_unless_they_are_asked_for(begun, tr
     assert steps == {"networks": before / 3, "learning": before + before / 3}  # The source run has three iterations.
 
 
-def test_a_checkpoint_that_is_not_there_is_told_with_the_nearest_that_is(trained: Trained):
+def test_a_missing_checkpoint_is_reported_with_the_nearest(trained: Trained):
     last = trained.run.latest_checkpoint().name
     absent = trained.run.path / "model_400.pt"
     said = refused("check", *WORDS, f"init_from={absent}")
@@ -96,7 +96,7 @@ def test_a_checkpoint_that_is_not_there_is_told_with_the_nearest_that_is(trained
     assert f"did you mean '{last}'?" in said
 
 
-def test_the_manifest_says_whose_networks_they_were(begun: RunDirectory, trained: Trained):
+def test_the_manifest_names_the_source_of_the_networks(begun: RunDirectory, trained: Trained):
     facts = begun.manifest().data["init_from"]
     last = trained.run.latest_checkpoint()
     assert (facts["run"], facts["task"], facts["checkpoint"]) == (trained.run.id, "stand", last.name)
@@ -117,7 +117,7 @@ def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory
     assert "init_from.pt" in said.out
 
 
-def test_it_goes_on_to_the_bit_and_equal_networks_have_one_digest(begun, trained: Trained, tmp_path, monkeypatch):
+def test_it_resumes_to_the_bit_and_equal_networks_have_one_digest(begun, trained: Trained, tmp_path, monkeypatch):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     source = copied(trained, tmp_path / "sources").path
     run = train(tmp_path, source.rename(source.with_name("another")), "agent.max_iterations=2")
@@ -165,7 +165,7 @@ def test_settings_that_do_not_fit_the_networks_are_named(trained: Trained, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_a_checkpoint_can_be_named_and_what_keeps_its_place_and_means_something_else_is_told(trained, tmp_path):
+def test_a_checkpoint_can_be_named_and_a_changed_meaning_at_the_same_place_is_reported(trained, tmp_path):
     words = (
         "agent.max_iterations=1",
         "++env.observations.policy.terms.base_ang_vel.scale=0.5",

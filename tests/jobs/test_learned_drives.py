@@ -59,7 +59,7 @@ def alone(*words):
 
 
 @pytest.mark.full
-def test_a_run_is_resumed_and_replayed_with_the_network_that_it_has_kept(project):
+def test_a_run_is_resumed_and_replayed_with_its_stored_network(project):
     network = project / "assets" / "nets" / "leg.pt"
     words = ("--config-dir", project / "configs", "robot=learned", *TINY, f"run.root={project / 'runs'}")
     succeed("train", *words, "agent.max_iterations=1")
@@ -90,7 +90,7 @@ def test_a_network_that_is_not_there_is_found_by_the_check(project, file, words)
     assert [word for word in ("env.robot.actuators.net.network_file", words) if word not in said] == []
 
 
-def test_the_numbers_of_a_learned_drive_are_not_looked_for(project):
+def test_the_numbers_of_a_learned_drive_are_not_identified(project):
     said = wheelleg("check", "--physics", "--config-dir", project / "configs", "robot=learned")
     assert "nan" not in said.out
     assert said.status == 0, said.out

@@ -88,7 +88,7 @@ def test_torques_of_every_physics_step_count():
     assert found.sign_changes_per_s == pytest.approx({"leg": 5 / (3 * STEP), "wheel": 5 / (3 * STEP)})
 
 
-def test_torques_too_small_to_have_a_sign_keep_the_last():
+def test_torques_too_small_to_have_a_sign_take_the_previous_sign():
     env = FakeEnv()
     meter = MotionMeter(env, settle_s=0.0)
     for leg in (1.0, -0.001, 1.0, -0.001):

@@ -165,7 +165,7 @@ def killed(watched, tmp_path) -> Callable[[int], PipelineIndex]:
     return before
 
 
-def test_each_phase_is_an_ordinary_run_that_begins_with_the_policy_before(whole: PipelineIndex):
+def test_each_phase_is_an_ordinary_run_that_starts_with_the_previous_policy(whole: PipelineIndex):
     first, second = whole.phases
     assert [phase["status"] for phase in whole.phases] == ["passed", "passed"]
     assert (first["trained"], second["trained"]) == (2, 3)
@@ -178,7 +178,7 @@ def test_each_phase_is_an_ordinary_run_that_begins_with_the_policy_before(whole:
     assert kept["actor_state_dict"].keys() == checkpoint.load(last)["actor_state_dict"].keys()
 
 
-def test_the_record_says_why_it_went_on(whole: PipelineIndex):
+def test_the_record_states_why_a_phase_ended(whole: PipelineIndex):
     first, second = whole.phases
     assert first["why"] == "the gate was passed once, after training"
     assert second["why"] == "the gate was passed once, after training"
@@ -186,7 +186,7 @@ def test_the_record_says_why_it_went_on(whole: PipelineIndex):
     assert second["gates"][1]["why"] == ["stand/survival is 0.2, but must be at least 0.5"]
 
 
-def test_a_phase_goes_on_early_at_so_many_passes_in_a_row(killed):
+def test_a_phase_ends_early_after_the_configured_passes_in_a_row(killed):
     index, status = resumed(killed(1), [1.0, 1.0])
     assert (status, index.phases[1]["trained"]) == ("finished", 2)
     assert index.phases[1]["why"] == "the gate was passed 2 times in a row, after 2 iterations"
@@ -211,7 +211,7 @@ def test_a_gate_that_is_not_passed_at_the_maximum_stops_the_pipeline(killed):
     assert again.data["resumes"][1]["before"]["status"] == "stopped"
 
 
-def test_stopped_in_a_phase_it_goes_on_to_the_same_bytes(whole: PipelineIndex, killed):
+def test_a_pipeline_stopped_in_a_phase_resumes_to_the_same_bytes(whole: PipelineIndex, killed):
     index, status = resumed(killed(1), [1.0], stop_after=1)
     assert (status, index.phases[1]["trained"]) == ("interrupted", 1)
     again, status = resumed(index, [0.2, 1.0])
@@ -296,7 +296,7 @@ def test_mistakes_of_all_phases_are_reported_at_once_and_a_mistake_of_all_phases
     assert [word for word in ("phase 'first'", "phase 'second'") if word not in said] == []
 
 
-def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
+def test_settings_of_a_phase_take_precedence_over_overrides(declared_two):
     words, phases = ["task=walk", "agent.max_iterations=9", "init_from=latest", "run.name=other"], "++pipeline.phases."
     given = f"{phases}second.overrides={words}", f"{phases}second.gate.overrides=['protocol=walk']"
     said = refused("check", *declared_two, *given)
@@ -312,7 +312,7 @@ def test_what_a_phase_says_itself_no_override_of_it_replaces(declared_two):
         read_pipeline({**tree(), "phases": {"a.b": tree()["phases"]["first"]}})
 
 
-def test_mistakes_of_a_pipeline_s_file_are_told_at_once_with_their_lines(declared_two):
+def test_all_mistakes_of_a_pipeline_file_are_reported_with_their_lines(declared_two):
     file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
     text = file.read_text().replace("max_iterations: 2", "max_iterations: many")
     file.write_text(text.replace("overrides: []", "overides: []"))
@@ -335,7 +335,7 @@ def test_a_pipeline_that_is_not_there_is_named(capsys):
     refused("train", "-m", "pipeline=stand_to_terrain")
 
 
-def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase_begins(tmp_path):
+def test_gates_on_unmeasured_metrics_are_rejected_before_the_first_phase(tmp_path):
     node = tree(at_least={"stand/survivl": 0.5}, at_most={"walk/skill_vx": 1.0})
     (tmp_path / "pipeline").mkdir()
     (tmp_path / "pipeline" / "two.yaml").write_text("# @package pipeline\n" + yaml.safe_dump(node, sort_keys=False))
@@ -350,7 +350,7 @@ def test_gates_that_ask_for_what_is_not_measured_are_told_before_the_first_phase
     assert not (tmp_path / "pipelines").exists()
 
 
-def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_changes(whole: PipelineIndex):
+def test_a_changed_gate_is_checked_against_the_metrics_before_the_record_changes(whole: PipelineIndex):
     index = PipelineIndex.load(whole.folder)
     index.data["status"] = "interrupted"
     index.phases[1]["status"] = "training"
@@ -366,7 +366,7 @@ def test_a_changed_gate_is_held_against_what_is_measured_before_the_record_chang
 
 
 @pytest.mark.parametrize("command", ["evaluate", "play", "report", "verify"])
-def test_a_pipeline_where_a_run_is_expected_is_told_with_its_runs(whole: PipelineIndex, command):
+def test_a_pipeline_in_place_of_a_run_is_reported_with_its_runs(whole: PipelineIndex, command):
     root = whole.root
     for named in (whole.folder, whole.folder.name, whole.path):
         said = refused(command, named, "--root", root)
@@ -375,7 +375,7 @@ def test_a_pipeline_where_a_run_is_expected_is_told_with_its_runs(whole: Pipelin
             assert f"{whole.run_of(phase)} (phase '{phase['name']}')" in said
 
 
-def test_a_gate_on_the_way_tells_what_is_missing(watched):
+def test_an_intermediate_gate_names_what_is_missing(watched):
     assert [note for note in watched[1] if "second: gate" in note] == [
         "second: gate after 1 iterations passed",
         "second: gate after 2 iterations not passed: stand/survival is 0.2, but must be at least 0.5",
@@ -403,7 +403,7 @@ def test_a_pipeline_is_checked_as_training_it_would(declared_two):
     assert "protocol 'walk' has no such metric" in said
 
 
-def test_what_a_phase_names_and_is_not_there_is_told_by_its_own_key_and_line(declared_two):
+def test_a_missing_name_in_a_phase_is_reported_with_its_key_and_line(declared_two):
     file = Path(declared_two[-1]) / "pipeline" / "two.yaml"
     text = file.read_text().replace("env.rewards.alive.weight=1", "env.rewards.alive.weigth=1")
     file.write_text(text.replace("task: stand", "task: stnd", 1))
@@ -439,7 +439,7 @@ def test_pipelines_are_explained_and_composed_without_naming_their_primary_confi
 
 
 @pytest.mark.parametrize("lacks", ["name", "phases.status"])
-def test_a_record_that_lacks_something_is_told_and_not_read(whole: PipelineIndex, tmp_path, lacks):
+def test_an_incomplete_record_is_reported_and_not_read(whole: PipelineIndex, tmp_path, lacks):
     data = json.loads(whole.path.read_text())
     part, _, key = lacks.rpartition(".")
     del (data["phases"][0] if part else data)[key]

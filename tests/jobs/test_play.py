@@ -101,7 +101,7 @@ def test_a_play_changes_nothing_of_the_training_and_adds_an_entry_to_the_manifes
     assert not run.manifest().compare_files()
 
 
-def test_figures_and_recording_say_which_policy_was_played_and_how_it_did(run):
+def test_figures_and_recording_name_the_played_policy_and_its_result(run):
     done = played(run, "env.num_envs=2", "seed=7", iteration=1)
     content = json.loads((done.folder / "figures.json").read_text())
     weights = run.checkpoint(1)
@@ -121,7 +121,7 @@ def test_figures_and_recording_say_which_policy_was_played_and_how_it_did(run):
     assert {"git", "command", "checkpoint"} <= set(texts)
 
 
-def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
+def test_at_the_size_limit_a_play_continues_unrecorded(run):
     done = played(run, "env.num_envs=1", "recording.max_mb=0")
     recording = Recording(done.recording)
     assert not recording.has_rows("base/height")
@@ -129,7 +129,7 @@ def test_at_the_bound_on_the_size_a_play_goes_on_without_being_recorded(run):
     assert (text, done.figures.episodes) == (["the limit of 0 MB is reached; later steps are not recorded"], 1)
 
 
-def test_plays_without_a_recording_have_none_and_do_not_share_a_folder(run):
+def test_unrecorded_plays_write_no_recording_and_do_not_share_a_folder(run):
     made = [played(run, "env.num_envs=1", "recording.enabled=false") for _ in range(2)]
     assert len({done.folder for done in made}) == 2
     assert made[0].recording is None
@@ -148,7 +148,7 @@ def test_the_same_seed_plays_the_same(run):
 
 
 @pytest.mark.parametrize("conditions", ["undisturbed", "training"])
-def test_a_play_leaves_out_the_disturbances_of_the_training_and_says_so(run, conditions):
+def test_a_play_omits_the_training_disturbances_and_reports_it(run, conditions):
     shown = Silent()
     shown.notes = []
     shown.note = shown.notes.append
@@ -223,7 +223,7 @@ def test_a_play_ends_when_the_last_first_episode_does(run):
         ("agent.critic.hidden_dims=[4]", "agent.critic.hidden_dims"),
     ],
 )
-def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):
+def test_a_wrong_override_is_reported_and_writes_nothing(run, override, key):
     before = (run.path / "manifest.json").read_bytes()
     with pytest.raises(ConfigError) as caught:
         played(run, override)
@@ -235,7 +235,7 @@ def test_a_wrong_override_is_told_and_leaves_nothing_behind(run, override, key):
 @pytest.mark.parametrize(
     "override", ["env.observations.policy.history_length=2", "~env.actions.wheel_vel", "agent.actor.hidden_dims=[4]"]
 )
-def test_a_policy_that_does_not_fit_is_told(run, override):
+def test_a_policy_that_does_not_fit_is_rejected(run, override):
     with pytest.raises(RunDirectoryError, match="fit"):
         played(run, override)
     assert plays(run) == []
@@ -245,7 +245,7 @@ def test_a_policy_that_does_not_fit_is_told(run, override):
     "name", ["params/env.yaml", "params/agent.yaml", "asset/robot.xml", f"model_{ITERATIONS - 1}.pt"]
 )
 @pytest.mark.parametrize("damage", ["missing", "garbage"])
-def test_a_damaged_run_is_told(run, name, damage):
+def test_a_damaged_run_is_reported(run, name, damage):
     file = run.path / name
     if damage == "missing" and name.startswith("model"):
         for path in run.checkpoints():

@@ -175,7 +175,7 @@ def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("launcher", "module", "extra"), [("ray", "ray", "ray"), ("submitit_slurm", "submitit", "slurm")]
 )
-def test_a_launcher_that_is_not_installed_says_what_to_install(monkeypatch, launcher, module, extra):
+def test_a_missing_launcher_is_reported_with_its_package(monkeypatch, launcher, module, extra):
     from wheelleg_exp.config.composing import compose_sweep as launchers
 
     monkeypatch.setattr(launchers, "_is_installed", lambda name: name != module)
@@ -183,7 +183,7 @@ def test_a_launcher_that_is_not_installed_says_what_to_install(monkeypatch, laun
         compose_sweep(["seed=1,2", f"hydra/launcher={launcher}"])
 
 
-def test_the_settings_of_a_queue_are_hydras_own():
+def test_the_settings_of_a_queue_are_those_of_hydra():
     pytest.importorskip("submitit")
     words = ["hydra/launcher=submitit_slurm", "hydra.launcher.partition=gpu", "hydra.launcher.timeout_min=30"]
     sweep = compose_sweep(["seed=1,2,3", *words])
@@ -196,7 +196,7 @@ def test_the_settings_of_a_queue_are_hydras_own():
         compose_sweep(["seed=1,2", words[0], "hydra.launcher.partitoin=gpu"])
 
 
-def test_what_submitit_refuses_is_told(tmp_path):
+def test_errors_of_submitit_are_reported(tmp_path):
     pytest.importorskip("submitit")
     with pytest.raises(ConfigError, match=r"hydra\.launcher: submitit refuses it"):
         make_launcher("submitit_slurm", {"submitit_folder": str(tmp_path / "s"), "partition": "gpu"}, tmp_path)

@@ -126,7 +126,7 @@ def test_a_checkpoint_holds_the_environments_and_streams_of_each(folder):
     assert digests.of_state(tampered)["log"] != lines(run)[1]["digests"]["log"]
 
 
-def test_the_manifest_says_who_trained(folder):
+def test_the_manifest_names_the_processes_that_trained(folder):
     run = only_run(folder / "straight")
     facts = manifest(run)["ranks"]
     assert (facts["world_size"], facts["backend"], facts["devices"]) == (SIZE, "gloo", ["cpu", "cpu"])
@@ -134,7 +134,7 @@ def test_the_manifest_says_who_trained(folder):
     assert len(set(facts["seeds"])) == SIZE
 
 
-def test_what_one_process_says_and_writes_is_all(folder):
+def test_only_one_process_prints_and_writes(folder):
     _, first, other = json.loads((folder / "said.json").read_text())
     assert json.JSONDecoder().raw_decode(first[1], first[1].index("\n{") + 1)[0]["results"]["iterations"] == 2
     assert "there is no run 'none'" in first[2]

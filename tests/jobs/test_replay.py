@@ -246,7 +246,7 @@ def test_a_changed_or_running_run_or_a_wrong_number_of_iterations_is_refused(run
     assert message in refused(run, "--repository", clone, *words)
 
 
-def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
+def test_a_missing_commit_is_reported_with_the_remedy(run, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     git(elsewhere, "init", "-q")
@@ -255,7 +255,7 @@ def test_a_commit_that_nobody_has_is_told_with_what_to_do(run, tmp_path):
     assert "git fetch" in said
 
 
-def test_a_source_that_was_not_kept_is_told(run, clone):
+def test_a_source_that_was_not_stored_is_reported(run, clone):
     change_record(run, patch=None, status="patch_too_large", note="the patch has 80 MB")
     change_manifest(run)
     assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in refused(
@@ -263,7 +263,7 @@ def test_a_source_that_was_not_kept_is_told(run, clone):
     )
 
 
-def test_code_from_before_replays_is_told(run, clones, tmp_path):
+def test_code_older_than_replays_is_reported(run, clones, tmp_path):
     old = tmp_path / "old"
     (old / "wheelleg_exp").mkdir(parents=True)
     (old / "wheelleg_exp" / "__init__.py").write_text("")

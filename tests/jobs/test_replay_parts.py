@@ -75,7 +75,7 @@ def test_training_is_asked_to_stop_behind_the_last_iteration_that_is_wanted(tmp_
     assert pipe.reached is (asked_at is not None)
 
 
-def test_a_training_that_ends_well_without_having_said_so_has_failed(tmp_path):
+def test_a_training_that_exits_without_a_final_status_has_failed(tmp_path):
     child = Child((sys.executable, "-S", "-c", ""), b"", {}, tmp_path)
     expected = pytest.raises(SimulationFailure, match="ended with status 0 and did not say why")
     with expected, job_events(child, StopRequest()) as events:
@@ -152,7 +152,7 @@ def resumed(**entry) -> list[str]:
     return replay_run._resume_notes(SimpleNamespace(data={"resumes": [entry]}))  # type: ignore[arg-type]
 
 
-def test_a_resume_is_told_and_one_that_changed_something_ends_the_claim():
+def test_a_resume_is_reported_and_a_changed_one_voids_the_claim():
     assert resumed(overrides=[]) == ["the run was stopped and resumed once; the replay trains without a stop"]
     assert len(resumed(overrides=["agent.max_iterations=9"], exact=True)) == 1
     told = resumed(overrides=["agent.algorithm.gamma=0.9"], exact=False, iteration=7)
@@ -211,7 +211,7 @@ def test_every_repository_is_restored_in_a_folder_of_its_own_name(program, lab, 
     assert "the code of 1 more source folder of it" in describe_code(run)
 
 
-def test_a_repository_of_the_users_that_is_nowhere_is_told(program, lab, tmp_path):
+def test_a_missing_user_repository_is_reported(program, lab, tmp_path):
     run = run_of(tmp_path, program, lab, config_dirs=[lab / "configs"])
     commit_id = git(lab, "rev-parse", "HEAD")
     lab.rename(tmp_path / "moved")
@@ -269,7 +269,7 @@ def test_a_variable_that_was_not_stored_is_requested_by_name(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("text", ["${oc.env:MY_TOKEN,x}", "${oc.env:RUN_NAME}", "${oc.env:USER_OF,${oc.env:OTHER,y}}"])
-def test_variables_that_were_kept_or_have_a_default_need_not_be_set(tmp_path, monkeypatch, text):
+def test_variables_that_were_stored_or_have_a_default_need_not_be_set(tmp_path, monkeypatch, text):
     run = asking(tmp_path, f"run: {{name: '{text}'}}\n", monkeypatch, RUN_NAME="mine")
     replay_run._config(run, run.manifest())
 
@@ -283,7 +283,7 @@ def test_a_variable_has_its_value_at_the_start_of_the_run_or_is_unset(tmp_path, 
     assert "RUN_NAME" not in replay_run._environ(run, run.manifest())
 
 
-def test_an_installed_program_is_used_as_it_is_installed_and_a_difference_told(tmp_path):
+def test_an_installed_program_is_used_unchanged_and_a_difference_is_reported(tmp_path):
     package = tmp_path / "site-packages" / "wheelleg_exp"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("")

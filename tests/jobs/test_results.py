@@ -105,7 +105,7 @@ ALTERED = {
 }
 
 
-def test_a_result_comes_out_again_to_the_bit_and_whatever_is_changed_in_it_is_told(written, once, capsys):
+def test_a_result_repeats_to_the_bit_and_every_change_in_it_is_reported(written, once, capsys):
     status, told = again(written, capsys)
     assert (status, told.splitlines()[-1]) == (0, "small: reproduced to the bit")
     whole = (written / "small.json").read_text()
@@ -133,7 +133,7 @@ def test_other_networks_and_other_facts_are_reported(written, once, capsys):
     assert (status, [word for word in words if word not in told]) == (1, [])
 
 
-def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(written, capsys):
+def test_a_page_changed_by_hand_is_reported_before_training(written, capsys):
     page = written / "small.md"
     page.write_text(page.read_text().replace("| survival |", "| Survival |"))
     status, told = again(written, capsys)
@@ -142,7 +142,7 @@ def test_a_page_that_was_changed_by_itself_is_told_before_anything_is_trained(wr
     assert "wheelleg train" not in told
 
 
-def test_folders_of_the_users_own_are_handed_on(written, capsys, monkeypatch):
+def test_folders_of_the_user_are_passed_on(written, capsys, monkeypatch):
     def train(words, config_dirs):
         raise SimulationFailure(f"{words} {config_dirs}")
 
@@ -153,7 +153,7 @@ def test_folders_of_the_users_own_are_handed_on(written, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("word", ["--reference", "--kept"])
-def test_what_is_made_again_is_not_said_twice(written, capsys, word):
+def test_a_repeated_result_is_reported_once(written, capsys, word):
     status, told = again(written, capsys, word)
     assert status == 2
     assert "--again: the record determines the evaluations" in told
@@ -179,7 +179,7 @@ def test_an_incomplete_record_is_reported_by_its_file(written, capsys, damage, m
 
 
 @pytest.mark.parametrize("word", ["latest", "protocol=walk", "smal"])
-def test_only_results_are_made_again_and_all_are_looked_for_before_any_is(written, capsys, word):
+def test_only_results_are_repeated_and_all_are_found_before_the_first_starts(written, capsys, word):
     status, told = again(written, capsys, word)
     assert status == 2
     assert f"NAME: there is no result '{word}'" in told
@@ -206,7 +206,7 @@ def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatc
     assert [line for line in told.splitlines() if "reproduced" in line] == verdicts
 
 
-def test_on_another_machine_it_says_what_is_promised_and_what_is_not(written, once, capsys):
+def test_on_another_machine_the_promised_precision_is_stated(written, once, capsys):
     record = json.loads((written / "small.json").read_text())
     path = written / "small" / f"{record['runs'][0]['id']}.json"
     manifest = json.loads(path.read_text())
@@ -326,14 +326,14 @@ def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iter
         require_one_method([run, run])
 
 
-def test_a_student_is_no_result_because_its_teacher_is_not_kept(run):
+def test_a_student_is_no_result_because_its_teacher_is_not_stored(run):
     (run.asset / TEACHER).parent.mkdir(exist_ok=True)
     (run.asset / TEACHER).write_bytes(b"")
     with pytest.raises(RunDirectoryError, match="another run's policy"):
         recipe(run)
 
 
-def test_a_page_that_there_is_not_is_told_with_those_that_there_are(written, capsys):
+def test_a_missing_page_is_reported_with_the_existing_pages(written, capsys):
     assert main(["results", "smal", "--again", "--into", str(written)]) == 2
     said = capsys.readouterr().err
     assert "there is no result 'smal'" in said
@@ -347,7 +347,7 @@ def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
     assert not list(tmp_path.rglob("*.md"))
 
 
-def test_the_verdict_says_where_equal_bits_are_promised():
+def test_the_verdict_states_where_equal_bits_are_promised():
     cpu = FactDifference("hardware", "cpu", "AMD", "Intel", "another CPU")
     assert again_of.Reproduction([], [], False).verdict == "reproduced to the bit"
     same = again_of.Reproduction(["a is 1, and was 2"], [], False).verdict

@@ -189,7 +189,7 @@ def test_an_engine_that_repeats_no_bits_leaves_all_digests_with_due_checkpoints_
     assert "does not agree with the log's digests of parameters" in told.out
 
 
-def test_without_a_checkpoint_a_run_begins_anew(run, straight):
+def test_without_a_checkpoint_a_run_starts_from_scratch(run, straight):
     for path in run.glob("model_*.pt"):
         path.unlink()
     assert "resuming from the start" in resume(run).err
@@ -218,7 +218,7 @@ def test_a_damaged_checkpoint_and_a_half_written_line_are_passed_over(run, strai
     assert scalars(run) == scalars(straight)
 
 
-def test_lost_events_are_written_anew_from_the_log(run, straight):
+def test_lost_events_are_rewritten_from_the_log(run, straight):
     (run / "model_3.pt").unlink()
     for path in run.glob("events.out.tfevents.*"):
         path.write_bytes(path.read_bytes()[:300])
@@ -227,7 +227,7 @@ def test_lost_events_are_written_anew_from_the_log(run, straight):
     assert (events_left(run), scalars(run)) == ([0, 1, 2, 3], scalars(straight))
 
 
-def test_a_run_that_failed_goes_on(straight, tmp_path, monkeypatch):
+def test_a_failed_run_resumes(straight, tmp_path, monkeypatch):
     write = training_outputs.write_bytes
 
     def full(path, data):
@@ -254,7 +254,7 @@ def test_the_logs_are_on_the_disk_before_the_checkpoint_is(straight):
     assert order[-4:] == ["iterations.jsonl", "recording.rrd", "events", "model_3.pt"]
 
 
-def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, tmp_path, killed):
+def test_a_run_that_was_killed_while_its_source_was_stored_is_completed(straight, tmp_path, killed):
     killed("source", "train", *FOUR, f"run.root={tmp_path}")
     run = only_run(tmp_path)
     assert not (run / "source" / "git.json").exists()
@@ -264,7 +264,7 @@ def test_a_run_that_was_killed_while_its_source_was_kept_is_completed(straight, 
     assert manifest(run)["source"]["status"]
 
 
-def test_what_was_half_written_is_removed_wherever_it_stands(run, straight):
+def test_half_written_files_are_removed_everywhere(run, straight):
     (run / "model_3.pt").unlink()
     for folder in (".", "source", ".hydra", "params", "asset", "exported"):
         (run / folder / ".some.file.0123456789ab.tmp").write_bytes(b"half")
@@ -281,7 +281,7 @@ def test_a_resume_without_a_logger_leaves_present_event_files_unchanged(run):
     assert events_left(run) == [0, 1, 2, 3, 4, 5]
 
 
-def test_the_list_says_of_every_state_that_is_resumed_here_that_it_can_be(run, straight):
+def test_the_list_marks_every_resumable_state_as_resumable(run, straight):
     assert not summarize(straight).resumable
     crash(run)
     assert (summarize(run).status, summarize(run).resumable) == ("crashed", True)
@@ -428,7 +428,7 @@ def refuse(run: Path, *words: str) -> str:
         (["hydra.run.dir=x", "agent.max_iterations=9"], "hydra.run.dir: nothing reads this"),
     ],
 )
-def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
+def test_wrong_overrides_are_reported_before_anything_changes(run, words, said):
     assert said in refuse(run, *words)
 
 
@@ -444,7 +444,7 @@ def test_wrong_overrides_are_told_before_anything_changes(run, words, said):
         ("manifest.json", b"{", "broken JSON"),
     ],
 )
-def test_a_damaged_run_is_told_before_anything_changes(run, name, content, said):
+def test_a_damaged_run_is_reported_before_anything_changes(run, name, content, said):
     (run / name).unlink() if content is None else (run / name).write_bytes(content)
     assert said in refuse(run, "agent.max_iterations=9")
 
@@ -466,7 +466,7 @@ def test_a_run_that_is_being_written_is_left_alone(run):
         pass  # The lock is free after a refusal.
 
 
-def test_a_run_that_is_not_there_is_told_with_the_nearest(run):
+def test_a_missing_run_is_reported_with_the_nearest(run):
     assert f"did you mean '{run.name}'?" in refused("resume", run.name[:-1], "--root", run.parents[1])
 
 
@@ -478,7 +478,7 @@ def test_what_there_is_room_for_and_what_is_a_graph_may_change(run):
     assert tree["env"]["sim"]["nconmax"] == 64
 
 
-def test_a_variable_that_was_not_kept_is_asked_for_by_name(run, monkeypatch):
+def test_a_variable_that_was_not_stored_is_requested_by_name(run, monkeypatch):
     path = run / ".hydra" / "config.yaml"
     config = yaml.safe_load(path.read_text())
     config["run"]["note"] = "${oc.env:MY_TOKEN}"
@@ -536,7 +536,7 @@ def test_changed_code_that_git_does_not_store_ends_exactness(project, tmp_path, 
     assert "modules pet.terms was" in said.err
 
 
-def test_a_project_named_by_config_dir_is_found_again_and_its_term_goes_on(project, tmp_path):
+def test_a_project_named_by_config_dir_is_found_again_and_its_term_resumes(project, tmp_path):
     words = [*SMALL, "+reward@env.rewards=patience", "agent.logger=null", "recording.enabled=false"]
     runs = []
     for total in (2, 1):

@@ -81,7 +81,7 @@ def test_much_talk_blocks_nobody(stop):
     assert (notes.count("something"), notes.count("x" * 100)) == (20000, 2000)
 
 
-def test_a_job_whose_process_ends_well_without_having_said_so_has_failed(stop):
+def test_a_job_that_exits_without_a_final_status_has_failed(stop):
     assert (stand_in(["leave", "finish"], stop).run(), _statuses()) == ("failed", ["failed", "finished"])
     assert "ended with status 0 and did not say why" in _index()["jobs"][0]["error"]["message"]
 
@@ -258,7 +258,7 @@ def test_every_job_trains_a_listed_run_with_its_seed_and_the_index_has_its_resul
 
 
 @pytest.mark.train
-def test_an_interrupt_stops_the_sweep_and_keeps_what_was_trained(tmp_path, tmp_path_factory):
+def test_an_interrupt_stops_the_sweep_and_leaves_the_trained_runs(tmp_path, tmp_path_factory):
     words = ["train", "-m", "seed=1,2", *SMALL, "agent.max_iterations=100000", "agent.save_interval=100000"]
     script = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"
     program = [sys.executable, "-c", script, *words]

@@ -45,7 +45,7 @@ for case in sys.argv[1:]:
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-def test_a_normal_start_is_in_force_and_says_nothing():
+def test_a_normal_start_is_in_force_and_prints_nothing():
     (found,) = elsewhere("from wheelleg_exp.machine import prepare_threads; prepare_threads()", "")
     assert (found["torch"], found["physics"], found["variables_in_time"]) == (2, 1, True)
     assert found["mkl"]["strict"] is True
@@ -82,7 +82,7 @@ def test_an_mkl_that_does_not_answer_is_no_reason_to_fail(monkeypatch):
     assert set_threads(AGENT, 1)["independent"] is False
 
 
-def test_large_minibatches_are_told_because_torch_splits_their_sums():
+def test_large_minibatches_are_reported_because_torch_splits_their_sums():
     assert set_threads(AGENT, 1, samples=4 * SPLIT_ABOVE)["independent"]
     found = set_threads(AGENT, 1, samples=4 * (SPLIT_ABOVE + 1))
     assert not found["independent"]
@@ -154,7 +154,7 @@ def test_one_core_is_one_physics_thread(monkeypatch):
 
 
 @pytest.mark.parametrize("threads_now", [2, 3, 4, 5])
-def test_activations_that_threads_part_within_a_vector_are_told(threads_now):
+def test_activations_that_threads_split_within_a_vector_are_reported(threads_now):
     layer = {"hidden_dims": [512, 100], "activation": "elu"}
     agent = {**AGENT, "torch_threads": threads_now, "num_steps_per_env": 24, "actor": layer}
     told = {}
@@ -204,7 +204,7 @@ def test_wide_kernels_are_for_intels_cpus_that_have_them(tmp_path, monkeypatch, 
         ("SSE4_2", "AVX2,STRICT", "SSE4_2"),
     ],
 )
-def test_a_run_goes_on_with_its_own_kernels_unless_the_user_asks_for_others(monkeypatch, users, recorded, found):
+def test_a_run_resumes_with_its_kernels_unless_the_user_sets_others(monkeypatch, users, recorded, found):
     monkeypatch.setattr(cores, "_chosen", set())
     monkeypatch.setattr(cores, "matrix_kernels", lambda: "AVX512,STRICT")
     monkeypatch.setattr(cores, "VARIABLES", {"MKL_CBWR": lambda: "AVX512,STRICT"})
@@ -260,7 +260,7 @@ def test_threads_spin_only_where_cores_are_left(monkeypatch, tmp_path, running, 
 
 
 @pytest.mark.parametrize(("chosen", "found"), [({"GOMP_SPINCOUNT"}, "0"), (set(), "777")])
-def test_processes_beside_each_other_sleep_at_once_unless_the_user_says_otherwise(monkeypatch, chosen, found):
+def test_parallel_processes_sleep_at_once_unless_the_user_sets_it(monkeypatch, chosen, found):
     monkeypatch.setattr(cores, "_chosen", chosen)
     monkeypatch.setenv("GOMP_SPINCOUNT", "777")
     cores.share_cores()

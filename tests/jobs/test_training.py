@@ -256,7 +256,7 @@ def test_an_interrupt_is_no_failure(tmp_path, monkeypatch, owner, name, left):
     assert (status_of(path), checkpoints(path)) == ("interrupted", left)
 
 
-def test_a_policy_that_cannot_be_exported_is_told_in_one_line_with_its_key(tmp_path, monkeypatch):
+def test_a_policy_that_cannot_be_exported_is_reported_in_one_line_with_its_key(tmp_path, monkeypatch):
     def refuses(_policy):
         raise TypeError("missing a required argument: 'h_in'\n\nand a report of many lines")
 

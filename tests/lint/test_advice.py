@@ -247,7 +247,7 @@ def test_all_advice_on_the_stock_task_can_be_written(capsys):
 
 
 @pytest.mark.parametrize("value", [0.03, 0.0301, 12.0, 12.3, 0.996667, 99.9, 1e-9 / 3])
-def test_rounding_keeps_the_bound(value):
+def test_rounding_does_not_cross_the_bound(value):
     for digits in (2, 3):
         assert at_most(value, digits) <= value <= at_least(value, digits)
         assert below(value, digits) < value < above(value, digits)

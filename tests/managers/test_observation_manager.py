@@ -93,7 +93,7 @@ def test_a_term_of_several_columns_is_flattened_sample_by_sample(make_env):
     assert torch.equal(out, torch.cat(frames[1:], dim=1))
 
 
-def test_unflattened_histories_keep_their_time_axis(make_env):
+def test_unflattened_histories_have_a_time_axis(make_env):
     env = _env(make_env, {"x": _value("x"), "y": _value("y")}, history_length=2, flatten_history_dim=False)
     spies.VALUES["y"] = 7.0
     out = _series(env, "x", 1.0, 2.0)

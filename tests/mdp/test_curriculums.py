@@ -249,7 +249,7 @@ def test_a_tensor_anywhere_below_the_environment_is_saved(one):
     assert (first.scene.robot.data.default_joint_vel == 0.0).all()
 
 
-def test_a_term_object_keeps_its_state_and_its_tensors_when_an_argument_changes(one):
+def test_a_changed_argument_does_not_replace_the_state_of_a_term(one):
     env = one(**_modify("commands.v.resampling_time_range", [7.0, 7.0]))
     v = env.command_manager.get_term("v")
     env.reset()

@@ -46,7 +46,7 @@ def test_the_dynamic_coefficient_is_written_if_the_robot_names_it(make_env):
     assert friction[0, env.scene.model.geom("left_wheel").id, 0] == pytest.approx((0.2 + 0.4) / 2)
 
 
-def test_coefficients_are_combined_as_the_robot_says(make_env):
+def test_coefficients_are_combined_by_the_mode_of_the_robot(make_env):
     node = event("randomize_rigid_body_material", **MATERIAL | {"static_friction_range": [0.3, 0.3]})
     env = make_env(events={"m": node}, robot={"friction_combine_mode": "multiply"})
     friction = env.scene.sim.batch.expanded("geom_friction")
@@ -496,7 +496,7 @@ def test_a_robot_rests_in_the_poses_in_which_it_is_laid_down(start_env):
     assert float(rests.float().mean()) > 0.9
 
 
-def test_some_robots_keep_the_pose_of_earlier_events(start_env):
+def test_some_robots_have_the_pose_of_earlier_events(start_env):
     node = event("reset_to_resting_pose", mode="reset", num_poses=5, share=0.4)
     env = start_env(events={"lie": node}, num_envs=500)
     data = env.scene.robot.data

@@ -56,7 +56,7 @@ def test_one_gravity_applies_to_all_whichever_environment_resets(make_env):
     assert (len(written.unique(dim=0)), written[0, 1]) == (1, pytest.approx(0.5))
 
 
-def test_a_body_turns_as_its_drawn_inertia_says(start_env):
+def test_a_body_turns_according_to_its_drawn_inertia(start_env):
     """The expected speed is w = torque * t / I."""
     ranges = {"inertia_distribution_params": [0.8, 1.4], "operation": "scale", "asset_cfg": bodies("block")}
     node = event("randomize_rigid_body_inertia", **ranges)

@@ -143,7 +143,7 @@ def test_a_push_adds_its_velocity_to_what_the_body_had_and_it_flies_on(world):
     torch.testing.assert_close(shown["root_ang_vel_w"][[10, 19], 0], spin.expand(2, 3), atol=1e-4, rtol=0)
 
 
-def test_a_push_gives_a_robot_with_loose_limbs_the_momentum_of_all_its_mass_and_it_keeps_it(world):
+def test_a_push_gives_a_robot_with_loose_limbs_the_momentum_of_its_whole_mass_which_is_conserved(world):
     masses = {"base": 1.2, "left_arm": 0.2, "right_arm": 0.2, "left_wheel": 0.1, "right_wheel": 0.1}
     swinging = {"joint_pos": {".*_hip": 0.5}, "joint_vel": {"left_hip": 3.0, "right_hip": -2.0}}
     push = {"x": [0.5, 0.5], "y": [-0.2, -0.2], "z": [0.3, 0.3]}

@@ -101,11 +101,11 @@ def _lost(world, dt, integrator):
     return float((energy - energy[0]).abs().max())
 
 
-def test_a_passive_robot_keeps_its_energy_the_better_the_shorter_the_step(world):
+def test_the_energy_of_a_passive_robot_is_conserved_better_with_shorter_steps(world):
     coarse, middle, fine = (_lost(world, dt, "implicitfast") for dt in (0.002, 0.001, 0.0005))
     assert coarse < 0.12  # 3 J change between kinetic and potential energy.
     assert (middle, fine) == (pytest.approx(coarse / 2, rel=0.25), pytest.approx(coarse / 4, rel=0.25))
 
 
-def test_runge_kutta_keeps_it_to_rounding(world):
+def test_runge_kutta_conserves_energy_to_rounding(world):
     assert _lost(world, 0.002, "rk4") < 2e-5

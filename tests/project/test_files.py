@@ -32,7 +32,7 @@ def visual(name: str) -> str:
     return f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
 
 
-def test_a_usd_keeps_its_layers_in_their_places(tmp_path):
+def test_the_layers_of_a_usd_stay_in_their_folders(tmp_path):
     source = assets_dir() / "wheelleg" / "wheelleg.usda"
     copy = copy_robot(source, tmp_path / "copy")
     there = {path.relative_to(source.parent): path.read_bytes() for path in source.parent.rglob("*.usd*")}
@@ -131,7 +131,7 @@ def test_files_that_do_not_belong_to_the_robot_are_not_copied(tmp_path, ending, 
 
 @pytest.mark.parametrize("ending", ["urdf", "usda"])
 @pytest.mark.parametrize("name", ["wood.png", "../wood.png", "textures/wood.JPG"])
-def test_a_robot_keeps_its_textures(tmp_path, ending, name):
+def test_the_textures_of_a_robot_are_copied(tmp_path, ending, name):
     home = tmp_path / "home"
     (home / "textures").mkdir(parents=True)
     (home / name).write_text("wood")

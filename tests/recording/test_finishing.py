@@ -25,7 +25,7 @@ def path(tmp_path: Path) -> Path:
         ("", "Rerun's program is missing"),
     ],
 )
-def test_what_keeps_rerun_from_it_is_told_and_the_file_stays(path, monkeypatch, script, why):
+def test_an_error_of_rerun_is_reported_and_the_file_stays(path, monkeypatch, script, why):
     program = path.with_name("rerun")
     program.write_text(f"#!/bin/sh\n{script.replace('sleep', 'exec sleep')}\n")
     program.chmod(0o755)

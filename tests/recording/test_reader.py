@@ -90,7 +90,7 @@ def test_words_are_events_by_step(tmp_path):
     assert [event.level for event in recording.events("episodes")] == ["WARN", "INFO"]
 
 
-def test_purpose_and_step_are_known_without_properties_and_said_by_them(tmp_path):
+def test_purpose_and_step_are_known_without_properties_and_from_them(tmp_path):
     assert Recording(play(tmp_path / "p.rrd")).purpose == "play"
     recording = Recording(training(tmp_path / "t.rrd"))
     assert (recording.purpose, recording.step_dt) == ("training", pytest.approx(STEP_DT, rel=1e-12))

@@ -14,7 +14,7 @@ def told(recorded):
     return summarize(Recording(path)), account, env
 
 
-def test_episodes_end_as_the_environment_told(told):
+def test_episodes_end_as_reported_by_the_environment(told):
     summary, account, _ = told
     ended = [episode for episode in summary.episodes if episode.outcome != "unfinished"]
     assert [(e.last_step, list(e.ended_by)) for e in ended] == [(step, names) for step, names, _ in account.ended]

@@ -195,7 +195,7 @@ def test_a_segment_ends_by_itself_and_carries_its_iteration(make_env, tmp_path):
     assert found == [[4, 9], [[1.5], [2.5]]]
 
 
-def test_texts_are_kept_and_the_last_of_a_name_counts(recorded, tmp_path):
+def test_texts_are_stored_and_the_last_of_a_name_counts(recorded, tmp_path):
     path = tmp_path / "r.rrd"
     with Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play") as recorder:
         recorder.document("config", "first")

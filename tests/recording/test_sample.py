@@ -31,7 +31,7 @@ def test_no_episode_begins_once_there_are_enough_steps(enough, episodes):
     assert taken([4, 3, 9, 9], enough=enough, most=99) == whole((0, 4), (1, 3), (2, 9))[: [0, 4, 7, 16][episodes]]
 
 
-def test_an_episode_without_an_end_is_cut_off_and_the_next_sample_goes_on_if_it_reaches_that_far():
+def test_an_endless_episode_is_cut_off_and_continued_by_the_next_sample_if_it_reaches_that_far():
     assert taken([30], enough=3, most=8) == whole((0, 8))
     assert taken([30], enough=3, most=8, dues=(0, 5)) == whole((0, 13))
     assert taken([30, 2], enough=2, most=8, dues=(0, 20)) == [*whole((0, 8)), *whole((1, 2))]

@@ -143,7 +143,7 @@ def test_what_was_flushed_is_in_the_file_and_what_was_not_is_not(tmp_path):
     assert Recording(tmp_path / "r.rrd").health.is_whole
 
 
-def test_a_disk_that_is_full_is_told_and_what_was_whole_stays(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_complete_data_stays(tmp_path, monkeypatch):
     sink = RecordingFile(tmp_path / "r.rrd", recording_id="r", name="n")
     real = os.write
 

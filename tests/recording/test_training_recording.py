@@ -199,7 +199,7 @@ def test_a_split_training_has_the_recording_of_a_straight_one(env, straight, dir
     assert not list(directory.path.glob(".*.tmp"))
 
 
-def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, stopped, tmp_path):
+def test_a_file_that_ends_anywhere_after_the_checkpoint_is_continued(env, stopped, tmp_path):
     path, kept = stopped
     whole = digests(path)
     data, later = path.read_bytes(), [span for span in RrdFile(path).messages() if span.begin >= kept["bytes"]]
@@ -211,7 +211,7 @@ def test_a_file_that_ends_anywhere_after_the_checkpoint_is_gone_on_with(env, sto
         assert entity_digests(directory.recording) == whole, end
 
 
-def test_a_file_that_ends_before_the_checkpoint_keeps_what_it_has_or_is_moved_aside(env, stopped, tmp_path):
+def test_a_file_that_ends_before_the_checkpoint_is_extended_or_moved_aside(env, stopped, tmp_path):
     path, kept = stopped
     data, there = path.read_bytes(), [span for span in RrdFile(path).messages() if span.end <= kept["bytes"]]
     early, half, late = there[2], there[len(there) // 2], there[-1]
@@ -235,7 +235,7 @@ def rows_of(data: bytes, path: Path, is_aside: bool) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("content", [b"precious" * 9, b"", b"RRF2" + bytes(90)])
-def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, directory, content):
+def test_a_file_that_is_no_recording_is_moved_aside_and_reported(env, stopped, directory, content):
     directory.recording.write_bytes(content)
     (directory.path / "recording.rrd.damaged").write_bytes(b"an earlier one")
     go_on(env, directory, stopped[1], 4, 5)
@@ -247,7 +247,7 @@ def test_a_file_that_is_no_recording_is_kept_beside_and_told(env, stopped, direc
 
 
 @pytest.mark.parametrize("offset", [0, 8, 16, 40], ids=["kind", "length", "payload", "rows"])
-def test_damage_in_the_middle_is_kept_beside(env, stopped, directory, offset):
+def test_a_file_damaged_in_the_middle_is_moved_aside(env, stopped, directory, offset):
     path, kept = stopped
     data, found = bytearray(path.read_bytes()), list(RrdFile(path).messages())
     hit = found[len(found) // 3].begin + offset
@@ -259,7 +259,7 @@ def test_damage_in_the_middle_is_kept_beside(env, stopped, directory, offset):
     assert rows(directory.recording)[0] == (min(step for step in begins if step > 4 * ROLLOUT), 4)
 
 
-def test_a_missing_file_is_told(env, stopped, directory):
+def test_a_missing_file_is_reported(env, stopped, directory):
     go_on(env, directory, stopped[1], 4, 5)
     (text,) = Recording(directory.recording).table("log/recording").column("text").to_pylist()
     assert text == ["the earlier part of this recording is missing; this one starts with iteration 4"]
@@ -281,7 +281,7 @@ def bound(env, tmp_path_factory) -> float:
         return next(mb for mb in np.arange(0.0, 50.0, 0.01).round(2).tolist() if recorder.frames_within(mb) >= LONGEST)
 
 
-def test_at_the_bound_motion_ends_and_scalars_go_on(env, directory, bound):
+def test_at_the_size_limit_motion_stops_and_scalars_continue(env, directory, bound):
     train(env, directory, 7, max_mb=bound)
     recording = Recording(directory.recording)
     assert {iteration for _, iteration in rows(directory.recording)} == {0, 1, 2}
@@ -311,7 +311,7 @@ def test_a_bound_counts_the_frames_that_there_are(env, directory):
     assert rows(directory.recording)[-1][1] >= 7
 
 
-def test_a_bound_too_small_for_a_sample_is_told_before_it_begins(env, directory, bound):
+def test_a_bound_too_small_for_a_sample_is_rejected_at_the_start(env, directory, bound):
     made = TrainingRecording(directory, env, options(max_mb=0.1), {})
     assert "recording.max_mb=0.1 leaves no room for a sample, which has up to 68 steps" in str(made.note)
     enough = float(re.search(r"([\d.]+) are enough for one", str(made.note))[1])

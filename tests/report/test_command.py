@@ -6,7 +6,7 @@ from report.runs import FIGURES, make_run
 from wheelleg_exp.files import write_json, write_yaml
 
 
-def test_it_says_where_the_report_is(root):
+def test_the_path_of_the_report_is_printed(root):
     run = make_run(root)
     said = wheelleg("report", "latest", "--root", root, "--no-pictures")
     assert said.status == 0, said.err

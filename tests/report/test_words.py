@@ -17,7 +17,7 @@ def test_numbers_have_three_digits_and_whole_ones_all(value, text):
     assert value_format.number(value) == text
 
 
-def test_nan_of_a_json_file_becomes_none():
+def test_nan_in_a_json_file_becomes_null():
     assert value_format.numbers({"a": ["nan", math.nan, "infinite", 1.5]}) == {"a": [None, None, "infinite", 1.5]}
     assert [value_format.exact(v) for v in (5.0, -50.0, 0.07)] == ["5", "−50", "0.07"]
     assert len(value_format.brief("x" * 1000)) < 200

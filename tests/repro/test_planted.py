@@ -71,7 +71,7 @@ def test_a_changed_snapshot_is_not_what_the_source_composes_to(lab: Lab, tmp_pat
 
 
 @usual
-def test_a_flipped_bit_shows_digests_that_are_not_computed_anew(lab: Lab, tmp_path, monkeypatch):
+def test_a_flipped_bit_reveals_digests_that_are_not_recomputed(lab: Lab, tmp_path, monkeypatch):
     monkeypatch.setattr(file_inventory, "sha256", functools.cache(file_inventory.sha256))
     other = Lab(tmp_path)
     other.take(lab.once())

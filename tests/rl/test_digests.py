@@ -49,7 +49,7 @@ def changed(change):
         (lambda s: s.update(iter=4, infos="x", format_version=2), ""),
     ],
 )
-def test_a_change_shows_in_the_digest_of_its_part_alone_and_the_name_of_a_checkpoint_in_none(change, name):
+def test_a_change_alters_only_the_digest_of_its_part_and_the_name_of_a_checkpoint_alters_no_digest(change, name):
     assert changed(change) == set(name.split())
 
 

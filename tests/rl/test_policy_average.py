@@ -41,7 +41,7 @@ def averaged(make_trainer):
     return [trainer.state_dict() for _ in trainer.learn(3)]
 
 
-def test_training_goes_on_with_the_weights_as_it_does_without_a_mean(make_trainer, averaged):
+def test_training_is_the_same_with_and_without_a_mean_of_weights(make_trainer, averaged):
     plain = make_trainer()
     list(plain.learn(3))
     ours, theirs = of_state(averaged[-1]), of_state(plain.state_dict())
@@ -57,7 +57,7 @@ def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
     assert not torch.equal(averaged[-1]["averaged_state_dict"]["mlp.0.weight"], third["mlp.0.weight"])
 
 
-def test_a_training_that_was_stopped_goes_on_with_its_mean_to_the_bit(make_trainer, averaged):
+def test_a_stopped_training_resumes_with_its_mean_to_the_bit(make_trainer, averaged):
     again = make_trainer(OVER, seed=5)
     again.load_state_dict(copy.deepcopy(averaged[0]))
     list(again.learn(3))

@@ -76,7 +76,7 @@ def test_acting_as_a_graph_is_acting(make_trainer):
         torch.testing.assert_close(mine, others, atol=1e-3, rtol=1e-3)
 
 
-def test_a_loaded_state_goes_on(make_trainer):
+def test_a_loaded_state_continues(make_trainer):
     trainer = make_trainer(f"agent.device={DEVICE}")
     update = CapturedUpdate(trainer.algorithm)
     updated(trainer, update)

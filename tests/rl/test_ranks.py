@@ -70,7 +70,7 @@ def test_processes_receive_messages_and_the_first_one_merges_scalars(said):
     assert said[0][0][5] == {**expected, "Diagnostics/non_finite/env.x": 2.0}
 
 
-def test_the_first_tells_of_anothers_error_and_the_others_are_silent(said):
+def test_the_first_rank_reports_the_error_of_another_and_the_remaining_are_silent(said):
     assert said[0][0][6:8] == [
         ["ConfigError", "is wrong [in process 1]", "env.x", None, False],
         ["SimulationFailure", "is wrong [in process 1]", "env.x", None, True],

@@ -52,7 +52,7 @@ def test_steps_without_an_end_count_and_each_iteration_starts_from_scratch(env):
 
 
 @pytest.mark.train
-def test_a_training_tells_the_means_of_what_its_environment_gave(make_trainer):
+def test_a_training_logs_the_means_of_its_environment(make_trainer):
     trainer, rewards = make_trainer(), []
     env = trainer.env.env
     compute = env.reward_manager.compute

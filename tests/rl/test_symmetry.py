@@ -158,7 +158,7 @@ def test_signs_of_joints_are_those_of_their_axes():
         ({"l(.*)": r"r\2"}, "regular expression is invalid"),
     ],
 )
-def test_pairs_that_cannot_be_are_told(pairs, said):
+def test_impossible_pairs_are_rejected(pairs, said):
     with pytest.raises(ConfigError, match=r"agent\.symmetry\.joint_pairs") as caught:
         joint_images(["l1", "r1", "head"], pairs)
     assert said in str(caught.value)
@@ -183,7 +183,7 @@ def lopsided(change):
         ({"r": 'pos="0 -0.2 0" euler="0 0 20"'}, "axes differ by 20.0 degrees"),
     ],
 )
-def test_joints_that_are_no_images_are_told(change, said):
+def test_joints_that_are_not_mirror_images_are_rejected(change, said):
     assert joint_signs(lopsided({}), "base", ["l", "r"], [1, 0]) == [1, 1]
     with pytest.raises(ConfigError, match="'l' and 'r' are not mirror images") as caught:
         joint_signs(lopsided(change), "base", ["l", "r"], [1, 0])
@@ -240,14 +240,14 @@ RULES = "wheelleg_exp.rl.symmetry"
         (f"{SETTINGS}.data_augmentation_func", f"{RULES}.left_rigt", f"{RULES}.left_right"),
     ],
 )
-def test_a_wrong_word_is_told_before_anything_is_built(key, value, nearest):
+def test_an_unknown_word_is_reported_before_anything_is_built(key, value, nearest):
     (error,) = check(compose(["task=stand", MIRRORED, f"{key}={value}"]))
     assert error.key.startswith(key.lstrip("+"))
     assert error.nearest == nearest
 
 
 @pytest.mark.usefixtures("allow_test_terms")
-def test_what_is_looked_at_for_novelty_alone_has_an_image_too(make_trainer):
+def test_groups_for_novelty_alone_have_an_image(make_trainer):
     group = "+env.observations.novel={terms: {own: {_target_: mdp.fakes.two_numbers}}}"
     novelty = "{weight: 0.1, num_outputs: 8, predictor_hidden_dims: [8], target_hidden_dims: [8]}"
     words = [group, "+agent.obs_groups.rnd_state=[novel]", f"+agent.algorithm.rnd_cfg={novelty}"]
@@ -309,7 +309,7 @@ def test_the_mirror_loss_is_that_of_rsl_rl(make_trainer, monkeypatch, is_learned
     assert (ours[2], theirs[2]) == (size, 2 * size)
 
 
-def test_what_is_a_users_own_keeps_its_own_mirror_loss(make_trainer):
+def test_a_user_defined_mirror_loss_is_used(make_trainer):
     algorithm = make_trainer("agent=ppo_mirror_loss").algorithm
     theirs = type("Theirs", (type(algorithm),), {}), type("Theirs", (type(algorithm.symmetry),), {})
     for thing, kind in zip((algorithm, algorithm.symmetry), theirs, strict=True):

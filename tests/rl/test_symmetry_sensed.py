@@ -154,6 +154,6 @@ def test_a_config_without_a_mirror_image_is_rejected_with_its_key(make_trainer, 
     check_mirror(make_trainer, [*WORDS, *words], key, said)
 
 
-def test_a_clock_of_legs_that_move_together_may_be_told_to_stay(make_trainer):
+def test_a_clock_of_legs_that_move_together_can_be_set_to_stay(make_trainer):
     words = [seen("gait_phase"), f"{TERMS}.gait_phase.offsets=[0.0]", "+agent.symmetry.terms={gait_phase: invariant}"]
     assert rule(make_trainer(*WORDS, *words), "critic", 2) == ([0, 1], [1.0, 1.0])

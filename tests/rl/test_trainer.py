@@ -57,7 +57,7 @@ def test_the_agent_section_is_left_as_it_was(adapter, tiny_config):
     assert repr(agent) == before
 
 
-def test_an_unknown_observation_group_is_told_with_the_nearest(adapter, tiny_config):
+def test_an_unknown_observation_group_is_reported_with_the_nearest(adapter, tiny_config):
     agent = tiny_config()["agent"] | {"obs_groups": {"actor": ["polcy"], "critic": ["critic"]}}
     with pytest.raises(ConfigError) as caught:
         build_algorithm(adapter, agent)
@@ -92,7 +92,7 @@ def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(adapter, tiny_co
 
 
 @pytest.mark.train
-def test_an_iteration_tells_rsl_rls_and_isaac_labs_scalars(make_trainer):
+def test_an_iteration_logs_the_scalars_of_rsl_rl_and_isaac_lab(make_trainer):
     first, second = finish(make_trainer(), 2)
     assert (first.index, second.index, first.env_steps) == (0, 1, 16 * 24)
     keys = [f"Loss/{name}" for name in ("value", "surrogate", "entropy", "learning_rate")]
@@ -213,7 +213,7 @@ def test_the_adapter_clips_only_when_asked(trainer, make_trainer):
         assert (made.env.env.action_manager.action == expected).all()
 
 
-def test_the_adapter_tells_time_outs_apart_from_failures(make_trainer):
+def test_the_adapter_separates_time_outs_from_failures(make_trainer):
     adapter = make_trainer().env
     pose = torch.tensor([[0.0, 0.0, 0.015, 0.0, 1.0, 0.0, 0.0]])
     pose[:, :3] += adapter.env.scene.env_origins[3]

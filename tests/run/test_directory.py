@@ -66,7 +66,7 @@ def test_latest_is_the_newest_start_in_any_manifest_whatever_the_name(make_run, 
     assert RunDirectory.open("latest", tmp_path / "runs").path == renamed
 
 
-def test_latest_looks_neither_at_agents_nor_at_sweeps(make_run, tmp_path):
+def test_latest_ignores_agents_and_sweeps(make_run, tmp_path):
     run = make_run()
     root = tmp_path / "runs"
     agent = RunDirectory.create(root, "walk", 1, "zero", datetime.now() + timedelta(days=1), section="agents")

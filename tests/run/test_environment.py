@@ -34,7 +34,7 @@ def test_every_distribution_stands_with_its_version_sorted():
     assert names == sorted(names)
 
 
-def test_local_versions_and_origins_are_kept_and_the_first_installation_counts(tmp_path, monkeypatch):
+def test_local_versions_and_origins_are_stored_and_the_first_installation_counts(tmp_path, monkeypatch):
     origin = {"url": "https://me:pw@host.org/a.git", "vcs_info": {"vcs": "git", "commit_id": "abc"}}
     for name, version, source in (("zz_demo", "1.0+cpu", origin), ("NumPy", "0.0.1", None)):
         folder = tmp_path / f"{name}-{version}.dist-info"

@@ -104,7 +104,7 @@ CASES = [("x.json", content) for content in BROKEN_JSON.values()] + [("x.yaml", 
 
 
 @pytest.mark.parametrize(("name", "content"), CASES, ids=[*BROKEN_JSON, *BROKEN_YAML])
-def test_a_foreign_file_is_read_or_told(tmp_path, name, content):
+def test_a_foreign_file_is_read_or_reported(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     kind = name[2:].upper()
     with pytest.raises(RunDirectoryError, match=rf"broken {kind}: .*{name}") as caught:

@@ -151,7 +151,7 @@ def test_a_run_without_a_checkpoint_restarts_if_its_files_exist(make_run, tmp_pa
     assert (found.status, found.checkpoint, found.resumable) == ("crashed", None, lacks is None)
 
 
-def test_what_a_play_found_and_what_was_exported_stands_beside(make_run, tmp_path):
+def test_results_of_plays_and_exports_are_listed(make_run, tmp_path):
     run = written(make_run(), 10)
     run.manifest().finish("finished")
     assert (list_runs(tmp_path / "runs")[0].played, list_runs(tmp_path / "runs")[0].bundles) == ({}, ())

@@ -48,6 +48,6 @@ def test_one_process_cannot_take_it_twice_but_again_after_release(tmp_path):
                 RunLock(tmp_path, timeout_s=0.05).acquire()
 
 
-def test_a_directory_that_is_not_there_is_told_to_people(tmp_path):
+def test_a_missing_directory_is_reported(tmp_path):
     with pytest.raises(RunDirectoryError, match="cannot write"):
         RunLock(tmp_path / "missing").acquire()

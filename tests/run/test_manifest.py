@@ -20,7 +20,7 @@ def on_disk(directory):
     return json.loads((directory / "manifest.json").read_text())
 
 
-def test_a_run_begins_as_running_with_all_that_made_it(tmp_path, monkeypatch):
+def test_a_new_run_has_the_status_running_and_all_its_inputs(tmp_path, monkeypatch):
     monkeypatch.setenv("MKL_CBWR", "AVX2,STRICT")
     monkeypatch.setenv("WHEELLEG_API_TOKEN", "hidden")
     begin(tmp_path)
@@ -82,7 +82,7 @@ def test_the_end_is_written_however_the_run_ends(tmp_path, raised, status):
     assert data["error"] == (None if raised is None else {"type": type(raised).__name__, "message": str(raised)})
 
 
-def test_the_first_error_is_kept_when_the_end_cannot_be_written(tmp_path, monkeypatch):
+def test_the_first_error_is_raised_when_the_end_cannot_be_written(tmp_path, monkeypatch):
     manifest = begin(tmp_path)
     monkeypatch.setattr("wheelleg_exp.run.manifest.write_text", lambda *_: (_ for _ in ()).throw(OSError("disk")))
     with pytest.raises(ValueError, match="first") as caught, manifest.finishing():
@@ -134,7 +134,7 @@ def test_changed_missing_and_unlisted_files_are_found_by_comparison_with_their_n
     assert (found.changed, found.missing, found.unlisted) == (["a"], ["b"], ["d"])
 
 
-def test_a_resume_keeps_what_the_run_was_before(tmp_path):
+def test_a_resume_preserves_the_history_of_the_run(tmp_path):
     (tmp_path / "params").mkdir()
     (tmp_path / "params" / "env.yaml").write_text("a: 1\n")
     manifest = begin(tmp_path)

@@ -133,7 +133,7 @@ def test_another_version_and_another_processor_show(tmp_path, monkeypatch):
     assert {"versions", "hardware"} <= changed(before, snapshot_of(tmp_path))
 
 
-def test_a_config_that_cannot_be_resolved_here_is_kept_as_it_is_written(tmp_path):
+def test_a_config_that_cannot_be_resolved_here_is_stored_as_written(tmp_path):
     snapshot_of(tmp_path, hydra_files={"config.yaml": (written := "a: '${oc.env:NOWHERE_SET}'\n")})
     (kept,) = tmp_path.rglob(".hydra/config.yaml")
     assert kept.read_text() == written

@@ -107,7 +107,7 @@ def test_a_change_of_the_same_size_in_the_same_second_is_seen(repository, git, t
 
 
 @pytest.mark.parametrize("flag", ["--assume-unchanged", "--skip-worktree"])
-def test_a_change_that_git_was_told_to_overlook_is_kept(repository, git, tmp_path, flag):
+def test_a_change_that_git_ignores_on_request_is_stored(repository, git, tmp_path, flag):
     git(repository, "update-index", flag, "package/code.py")
     (repository / "package" / "code.py").write_text("x = 'overlooked'\n")
     snapshot(repository, tmp_path)
@@ -178,7 +178,7 @@ def test_changes_over_the_cap_are_refused_with_the_big_files(repository, git, tm
     assert snapshot(repository, tmp_path, max_patch_mb=1.0)["status"] == "ok"
 
 
-def test_a_repository_without_commits_is_held_against_nothing(tmp_path, git):
+def test_a_repository_without_commits_has_no_base(tmp_path, git):
     folder = tmp_path / "fresh"
     git(tmp_path, "init", "-q", str(folder))
     (folder / "a.py").write_text("a = 1\n")

@@ -23,7 +23,7 @@ def test_folders_are_named_in_local_time(nine_hours_east):
 
 
 @pytest.mark.parametrize("name", ["", "notes", "2026-13-01_00-00-00_1", "x2026-01-31_21-00-00"])
-def test_another_folders_name_tells_no_time(name):
+def test_the_name_of_another_folder_has_no_timestamp(name):
     assert folder_moment(name) is None
 
 

@@ -66,7 +66,7 @@ def test_random_orientations_are_uniform_on_the_sphere():
         *((-math.pi - 0.1, math.pi - 0.1), (7.0, 7.0 - 2 * math.pi)),
     ],
 )
-def test_wrapping_to_pi_keeps_the_sign_of_odd_multiples(angle, wrapped):
+def test_wrapping_to_pi_preserves_the_sign_of_odd_multiples(angle, wrapped):
     assert float(rotation.wrap_to_pi(torch.tensor([angle], dtype=torch.float64))) == pytest.approx(wrapped, abs=1e-12)
 
 

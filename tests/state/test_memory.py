@@ -55,7 +55,7 @@ def test_sharing_within_an_object_is_refused_with_both_names(items):
     assert caught.value.key == "env.rewards.own"
 
 
-def test_a_view_of_the_surroundings_may_be_kept_from_the_start_and_not_taken_up_or_dropped_later():
+def test_a_view_of_foreign_memory_must_exist_from_the_start_to_the_end():
     buffer = torch.zeros(4)
     own = Holds(view=buffer[1:], other=torch.zeros(3))
     memory = Memory({"own": own}, lambda: {"env.buffer": buffer})

@@ -195,7 +195,7 @@ KINDS = [Containers, Expanded, Swapped, Generators, Helped]
 @pytest.mark.parametrize("lived", [0, 3])
 @pytest.mark.parametrize("steps", [0, 1, 2, 5])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_restored_object_goes_on_as_the_saved_one(kind, steps, lived):
+def test_a_restored_object_continues_like_the_saved_one(kind, steps, lived):
     torch.manual_seed(4)
     value = new(kind)
     for k in range(1, steps + 1):
@@ -207,7 +207,7 @@ def test_a_restored_object_goes_on_as_the_saved_one(kind, steps, lived):
         assert [np.asarray(x).tobytes() for x in a] == [np.asarray(x).tobytes() for x in b]
 
 
-def test_a_tensor_is_written_in_place_so_that_who_looks_at_it_sees_the_restored_one():
+def test_a_tensor_is_restored_in_place_so_that_its_views_see_it():
     value, other = new(Swapped), new(Swapped)
     looking = other.front
     value.front += 7
@@ -243,7 +243,7 @@ class Choice:
         (lambda n: setattr(n, "new", 1), "new"),
     ],
 )
-def test_what_a_network_keeps_beside_its_state_dict_is_refused_once_it_changes(change, name):
+def test_a_changing_value_outside_the_state_dict_of_a_network_is_rejected(change, name):
     class Kind(Stateful):
         def __init__(self) -> None:
             self.network = torch.nn.BatchNorm1d(1, affine=False)
@@ -320,7 +320,7 @@ def test_what_cannot_be_seen_is_refused_by_name_when_it_is_made(make, inside):
 
 
 @pytest.mark.parametrize("later", [random.Random, Saves, lambda: torch.Generator()])
-def test_an_object_that_only_its_owner_could_make_again_is_refused_when_it_comes_later(later):
+def test_a_later_object_that_only_its_owner_can_create_is_rejected(later):
     value = new(Holds)
     value.value = later()
     with pytest.raises(ConfigError, match=r"'value'.*added after"):

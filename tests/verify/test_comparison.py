@@ -74,7 +74,7 @@ def test_two_equal_runs_are_identical_whatever_they_are_called_and_however_long_
     assert set(found.parts) == set(names.split())
 
 
-def test_what_differs_in_the_environment_without_effect_is_still_told(a, b):
+def test_differences_of_the_environment_without_effect_are_reported(a, b):
     set_fact(b, "hardware", cpu="another CPU", memory_gib=7)
     set_fact(b, "versions", torch="1.0")
     found, changed = identical(a, b), {("hardware", "cpu"), ("hardware", "memory_gib"), ("versions", "torch")}
@@ -82,7 +82,7 @@ def test_what_differs_in_the_environment_without_effect_is_still_told(a, b):
     assert "these differ, but changed no number" in found.lines()
 
 
-def test_settings_that_change_no_number_are_told_and_do_not_count(a, b):
+def test_settings_that_change_no_number_are_reported_and_do_not_count(a, b):
     synthetic.edit_params(b, lambda env, agent: (env["sim"].update(nthread=8), agent.update(torch_threads=4)))
     config = (b.hydra / "config.yaml").read_text().replace("torch_threads: 1", "torch_threads: 4")
     (b.hydra / "config.yaml").write_text(config.replace("nthread: 1", "nthread: 8"))
@@ -196,7 +196,7 @@ def test_digests_of_different_definitions_are_not_compared(a, b):
     assert "not shown to be equal" in compared(a, b).reason
 
 
-def test_a_missing_checkpoint_is_told_and_a_damaged_one_is_different(a, b):
+def test_a_missing_checkpoint_is_reported_and_a_damaged_one_is_different(a, b):
     set_fact(b, "hardware", cpu="another CPU")  # Another CPU does not excuse damage.
     whole = b.checkpoint(2).read_bytes()
     b.checkpoint(2).write_bytes(whole[:-100])
@@ -276,7 +276,7 @@ def test_a_different_setting_is_named_before_a_different_number(a, b):
     assert (first.a, first.b, first.details["numbers"]["iteration"]) == (1.0, 2.0, 1)
 
 
-def test_another_robot_is_told_and_another_mujocos_way_to_write_it_is_not(a, b):
+def test_another_robot_is_reported_and_another_mujoco_notation_is_not(a, b):
     identity = json.loads((b.asset / "asset.json").read_text())
     (b.asset / "asset.json").write_text(json.dumps({**identity, "model_sha256": "f" * 64}))
     assert different(a, b).name == "compiled model"
@@ -286,7 +286,7 @@ def test_another_robot_is_told_and_another_mujocos_way_to_write_it_is_not(a, b):
     assert different(a, b).name == "robot.xml"
 
 
-def test_a_resume_that_changed_a_setting_counts_and_one_that_only_goes_on_does_not(a, b):
+def test_a_resume_that_changed_a_setting_counts_and_a_plain_one_does_not(a, b):
     longer = {"key": "agent.max_iterations", "was": 3, "now": 5}
     facts = {"when": "2026-11-20T10:00:00Z", "iteration": 3, "overrides": ["agent.max_iterations=5"], "exact": True}
     synthetic.edit(b, lambda data: data["resumes"].append({**facts, "changes": [longer]}))
@@ -297,7 +297,7 @@ def test_a_resume_that_changed_a_setting_counts_and_one_that_only_goes_on_does_n
     assert (first.name, first.b) == ("resumed with other settings", [[3, {"agent.algorithm.gamma": 0.99}]])
 
 
-def test_a_shorter_run_is_different_and_its_common_part_is_told(a, b):
+def test_a_shorter_run_is_different_and_its_common_part_is_compared(a, b):
     synthetic.shorten(b, 3)
     first = different(a, b)
     assert (first.iteration, first.part, first.name) == (3, "length", "B stops")
@@ -507,7 +507,7 @@ def test_what_allows_other_numbers(section, a, b, also, allowed):
     assert (found.allows is not None) == allowed
 
 
-def test_further_distributions_are_told_from_the_environment_file(a, b):
+def test_more_packages_are_read_from_the_environment_file(a, b):
     b.environment.write_text("numpy==2.0\npyyaml==6.1\nextra==1\n")
     # A section that only one side has is not compared.
     assert environment_differences({"versions": {"torch": "1"}}, {"hardware": {"cpu": "x"}}) == []

@@ -11,7 +11,7 @@ def line(iteration, **more):
     return json.dumps({"iteration": iteration, "digests": {"log": "0"}, "scalars": {"a": 1.0, "Perf/s": 2.0}, **more})
 
 
-def test_each_line_tells_where_it_ends_and_all_that_stands_in_it(tmp_path):
+def test_each_line_has_its_end_and_its_values(tmp_path):
     path = tmp_path / "iterations.jsonl"
     whole = [line(0) + "\n", line(1, note="ä") + "\n"]
     path.write_text("".join(whole) + line(2)[:-5], encoding="utf-8")
@@ -31,7 +31,7 @@ def test_an_iteration_that_is_no_whole_number_ends_what_can_be_read(tmp_path, wr
     assert ([x.iteration for x in log.lines], log.problems) == ([0], ["line 2 cannot be read"])
 
 
-def test_a_checkpoint_that_is_not_the_logs_is_told_in_whole_words(copy_run):
+def test_a_checkpoint_that_differs_from_the_log_is_reported(copy_run):
     run = copy_run("one")
     synthetic.edit_state(run, 4, lambda state: state["optimizer_state_dict"]["param_groups"][0].update(lr=2e-3))
     synthetic.edit_state(run, 2, lambda state: state["actor_state_dict"]["weight"].zero_())

@@ -82,7 +82,7 @@ def of_format_1(run, **digest):
     (run.path / "manifest.json").write_text(json.dumps(data, indent=2))
 
 
-def test_a_manifest_of_format_1_holds_by_its_values_and_says_so(run):
+def test_a_manifest_of_format_1_is_checked_by_its_values_and_named(run):
     of_format_1(run)
     assert any("no digest of itself" in note for note in notes(run))
     of_format_1(run, flipped="0" * 64)
@@ -110,7 +110,7 @@ def test_a_users_file_or_link_is_noted_and_a_link_in_place_of_a_file_is_wrong(ru
 
 
 @pytest.mark.parametrize("name", ["model_9.pt", "failure.npz", "params/extra.yaml", "exported/policy2.onnx"])
-def test_a_file_that_commands_would_take_for_the_runs_own_is_wrong(run, name):
+def test_a_file_that_commands_would_treat_as_part_of_the_run_is_wrong(run, name):
     (run.path / name).write_bytes(b"x")
     assert any(f.startswith(name) and "not in the manifest" in f for f in failures(run)["files"])
 
@@ -197,7 +197,7 @@ def test_a_run_that_ends_before_the_iteration_of_its_results_is_wrong(run):
     assert set(failures(run)) == {"iterations", "checkpoints"}
 
 
-def test_digests_of_an_earlier_definition_are_told_and_not_held_against_the_run(run):
+def test_digests_of_an_earlier_definition_are_reported_and_not_counted(run):
     for iteration in range(synthetic.ITERATIONS):
         synthetic.edit_line(run, iteration, lambda line: line.pop("digest_format"))
     synthetic.record(run)
@@ -261,7 +261,7 @@ def test_a_running_run_is_sound_and_the_settings_of_a_crashed_run_are_still_chec
     assert any("params/env.yaml was changed" in f for f in failures(run)["files"])
 
 
-def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
+def test_a_run_that_stopped_before_its_first_step_is_reported_as_such(run):
     synthetic.crash(run)
     synthetic.edit(run, lambda data: data.update(source={}, files={}))
     for path in (*run.checkpoints(), run.iterations, run.recording, run.params / "agent.yaml"):
@@ -270,7 +270,7 @@ def test_a_run_that_broke_off_before_its_first_step_is_told_as_such(run):
     assert failures(run) == {}
 
 
-def test_of_many_resumes_the_inexact_ones_are_told_first_with_what_they_changed(run):
+def test_inexact_resumes_are_listed_first_with_their_changes(run):
     for iteration in range(20):
         entry = {"when": "2026-11-20T10:00:00Z", "iteration": iteration, "exact": iteration != 17}
         entry["overrides"] = ["agent.algorithm.gamma=0.9"]
@@ -280,7 +280,7 @@ def test_of_many_resumes_the_inexact_ones_are_told_first_with_what_they_changed(
     assert "from iteration 0, exactly" in told[1]
 
 
-def test_a_checkpoint_from_before_a_resume_is_held_against_its_old_record(run):
+def test_a_checkpoint_from_before_a_resume_is_checked_against_its_old_record(run):
     before = {"files": dict(run.manifest().data["files"])}
     entry = {"when": "2026-11-20T10:00:00.000000Z", "iteration": 3, "overrides": [], "exact": True, "before": before}
     synthetic.crash(run)
@@ -306,7 +306,7 @@ def test_a_resume_that_broke_off_before_it_wrote_its_settings_is_no_damage(run):
 
 
 @pytest.mark.parametrize("recorded", [{}, {"RATE": "0.25"}])
-def test_a_setting_that_came_from_the_environment_is_held_against_what_was_recorded(run, monkeypatch, recorded):
+def test_a_setting_from_the_environment_is_checked_against_the_record(run, monkeypatch, recorded):
     monkeypatch.setenv("RATE", "0.75")  # by now
     config = (run.hydra / "config.yaml").read_text()
     (run.hydra / "config.yaml").write_text(config.replace("gamma: 0.99", "gamma: ${oc.decode:${oc.env:RATE}}"))

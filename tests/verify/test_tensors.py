@@ -32,7 +32,7 @@ def test_equal_bits_are_equal_nan_and_all(tree):
     assert differences(tree, copy) == []
 
 
-def test_the_largest_difference_is_told_with_its_place_and_size():
+def test_the_largest_difference_is_reported_with_its_place_and_size():
     a = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=torch.float64)
     found = one(a, torch.tensor([[1.0, 2.5, 3.0], [4.0, 5.0, 4.0]], dtype=torch.float64))
     assert (found.index, found.a, found.b, found.largest) == ((1, 2), 6.0, 4.0, 2.0)

@@ -20,7 +20,7 @@ def reward_end(found):
     return end
 
 
-def test_only_the_worst_scalar_of_the_first_iteration_that_differs_is_held_against_rounding():
+def test_only_the_worst_scalar_of_the_first_different_iteration_is_compared_with_rounding():
     off = run(value=lambda i: 1.0 if i < 7 else 1.0 + 1e-5 if i == 7 else 5.0, length=lambda i: 50.0 + 1e-5 * (i == 7))
     found = judge(run(), off, None, whole=True)
     (start,) = found.start
@@ -68,7 +68,7 @@ def test_fluctuation_that_is_larger_than_that_widens_the_bound_to_twice_itself()
 
 
 @pytest.mark.parametrize(("iterations", "whole"), [(49, True), (LONG, False)])
-def test_short_runs_and_runs_that_go_on_have_no_end_to_compare(iterations, whole):
+def test_short_runs_and_unfinished_runs_have_no_end_to_compare(iterations, whole):
     a, b = run(iterations=iterations), run(iterations=iterations, reward=lambda i: i + 1e-4)
     found = judge(a, b, None, whole=whole)
     assert found.end == []

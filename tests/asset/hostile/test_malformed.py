@@ -328,7 +328,7 @@ def test_a_plane_on_a_moving_body_is_drawn_and_does_not_collide(tmp_path):
     assert model.geom_size[0].tolist() == [0.0005, 1, 2]
 
 
-def test_a_mirrored_ground_keeps_its_solid_side(tmp_path):
+def test_a_mirrored_ground_is_solid_on_the_same_side(tmp_path):
     turned = "double3 xformOp:scale = (1, 1, -1)\nuniform token[] xformOpOrder = ['xformOp:scale']".replace("'", '"')
     model, _ = converted(write(tmp_path, link("a") + gprim("Plane", turned)))
     normal = np.zeros(3)

@@ -77,7 +77,7 @@ def test_classes_are_called_after_what_their_members_are():
     assert '<joint name="one" class="leg"' in text
 
 
-def test_words_of_names_say_more_than_the_leg():
+def test_words_in_names_outweigh_the_leg():
     parts = robot(geom("tyre")).bodies
     named = [replace(parts[i], dofs=(replace(parts[i].dofs[0], name=n),)) for i, n in ((1, "L_hip"), (2, "R_hip"))]
     text = Writer(RobotDescription("r", (parts[0], *named, *parts[3:])), "").text()

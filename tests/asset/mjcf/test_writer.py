@@ -87,7 +87,7 @@ def test_kinds_of_drives_do_not_spoil_each_others_defaults():
     assert (kp, kv) == ({"FL": 20, "FR": 0, "RL": 50, "RR": 0}, {"FL": 0.5, "FR": 0.5, "RL": 0.5, "RR": 0})
 
 
-def test_an_actuator_of_mujocos_own_is_not_changed_by_drives_beside_it():
+def test_a_mujoco_actuator_is_not_changed_by_other_drives():
     parts = list(legs(SERVO, SERVO).bodies)
     parts[1] = replace(parts[1], dofs=(replace(parts[1].dofs[0], drive=None),))
     item = rd.Actuator("own", "/r/own", "joint", "FL_hip", {"gainprm": (7.0,)})
@@ -97,7 +97,7 @@ def test_an_actuator_of_mujocos_own_is_not_changed_by_drives_beside_it():
     assert not model.actuator_forcelimited[model.actuator("own").id]
 
 
-def test_a_single_part_says_what_it_is_by_itself():
+def test_a_single_part_is_complete_without_defaults():
     assert classes_of(robot(body("a"), body("b", "a", dofs=(hinge("j", damping=3.0),)))) == {}
 
 
@@ -136,7 +136,7 @@ def test_a_class_never_takes_the_name_of_another():
     np.testing.assert_allclose(model_of(description).dof_damping[6:], [1, 1, 2, 2])
 
 
-def test_classes_of_drives_keep_clear_of_joints_that_are_called_alike():
+def test_classes_of_drives_avoid_names_of_joints():
     parts = [body("a")]
     for i, drive in enumerate((SERVO, SERVO, replace(SERVO, stiffness=50.0), replace(SERVO, stiffness=50.0), WHEEL)):
         for word, damping in (("hip_position", 1.0), ("velocity", 2.0)):
@@ -224,7 +224,7 @@ def test_home_is_the_saved_state_with_its_velocities():
     np.testing.assert_allclose(key.ctrl, [0.25])
 
 
-def test_a_home_of_the_files_own_takes_the_place_of_ours():
+def test_the_home_of_a_file_replaces_the_default():
     own = rd.Keyframe("home", "/r/home", {"qpos": (0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0)})
     model = model_of(robot(body("a"), keyframes=(own,)))
     assert (model.nkey, model.key("home").qpos[2]) == (1, 3)

@@ -88,7 +88,7 @@ def test_a_file_that_is_not_a_urdf_is_refused(tmp_path, text, message):
     assert message in refused(tmp_path, text)
 
 
-def test_endings_tell_the_formats_apart(tmp_path):
+def test_formats_are_recognised_by_their_endings(tmp_path):
     assert "contains xacro macros" in refused(tmp_path, HEAD, "bot.urdf.xacro")
     assert ".usda, .usdc, .usdz, .urdf" in refused(tmp_path, HEAD, "bot.sdf")
     write(tmp_path, link("a")).rename(tmp_path / "BOT.URDF")

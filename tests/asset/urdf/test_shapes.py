@@ -253,7 +253,7 @@ def test_a_path_of_another_machine_does_not_match_by_its_last_parts_alone(tmp_pa
     assert conversion.report.unresolved == ("file:///home/someone/collision/meshes/part.obj",)
 
 
-def test_a_package_is_looked_for_by_its_name_first(tmp_path):
+def test_a_package_is_searched_by_its_name_first(tmp_path):
     for folder in ("my_robot/urdf/meshes", "my_robot/meshes"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "part.obj").write_text(obj())

@@ -281,7 +281,7 @@ def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path)
     np.testing.assert_allclose([key.ctrl[0], key.qpos[-1]], np.radians([25, 15]), rtol=1e-6)
 
 
-def test_a_speed_target_beside_a_stiffness_is_named_with_where_physx_would_rest(tmp_path):
+def test_a_speed_target_with_a_stiffness_is_reported_with_the_rest_position_of_physx(tmp_path):
     """k (q* - q) + d v* = 0 at q = q* + d v*/k: 2·(π/2)/4 rad."""
     _, done = driven(tmp_path, drive(stiffness=4, damping=2, targetVelocity=90))
     (entry,) = [item for item in done.report.left_out if item.name == "drive:angular:physics:targetVelocity"]

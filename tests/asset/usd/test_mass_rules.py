@@ -357,7 +357,7 @@ def test_a_negative_mass_means_not_given_and_is_reported(tmp_path):
     assert any(item.name == "physics:mass" and "/bot/a" in item.values for item in done.report.left_out)
 
 
-def test_a_shape_below_a_shape_collides_where_a_prim_above_both_says_so(tmp_path):
+def test_a_shape_below_a_shape_collides_if_a_prim_above_both_enables_it(tmp_path):
     inner = 'def Cube "c" {own}\n{{\n double size = 0.2\n def Sphere "s"\n {{\n double radius = 0.3\n }}\n}}\n'
     api = '(prepend apiSchemas = ["PhysicsCollisionAPI"])'
     group = f'def Xform "g" {api}\n{{\n{inner.format(own="")}}}\n'

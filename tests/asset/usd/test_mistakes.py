@@ -111,7 +111,7 @@ def mesh(points: str, counts: str, indices: str) -> str:
     ],
     ids=["empty", "a line", "a bad index", "no size", "not supported"],
 )
-def test_a_shape_that_nothing_can_be_made_of_is_named_and_no_end(tmp_path, inside):
+def test_an_unusable_shape_is_reported_and_does_not_stop_the_import(tmp_path, inside):
     done = convert(write(tmp_path, link("a", inside=inside)), tmp_path / "out.xml")
     assert done.description.colliders == ()
     assert any("/bot/a/m" in warning for warning in done.report.warnings)

@@ -103,7 +103,7 @@ def test_local_positions_are_stretched_by_the_bodys_scale(tmp_path):
     np.testing.assert_allclose(model.body("b").pos, [2, 3, 4])
 
 
-def test_a_fixed_joint_keeps_both_bodies(tmp_path):
+def test_a_fixed_joint_does_not_merge_its_bodies(tmp_path):
     model, _ = two_links(tmp_path, kind="Fixed")
     assert (model.nv, model.body("b").parentid[0]) == (6, model.body("a").id)
 

@@ -38,7 +38,7 @@ def driven(*words):
 
 
 @pytest.mark.train
-def test_a_script_is_driven_recorded_and_kept_and_drives_the_same_again(run, script):
+def test_a_script_is_driven_recorded_saved_and_drives_the_same_again(run, script):
     made = driven("--script", script)
     folder, figures = run.play / made["folder"].rsplit("/", 1)[1], made["figures"]
     assert json.loads((folder / "figures.json").read_text()) == figures
@@ -59,7 +59,7 @@ def test_a_script_is_driven_recorded_and_kept_and_drives_the_same_again(run, scr
 
 
 @pytest.mark.train
-def test_what_is_told_to_drive_again_drives_the_same(run, script):
+def test_a_repeated_drive_is_equal(run, script):
     said = wheelleg("play", "latest", "--script", script, "--scene", "rough", "--checkpoint", "1", *RANGES)
     (line,) = [line for line in said.out.splitlines() if line.startswith("repeat: ")]
     succeed(*shlex.split(line)[2:], "--json")
@@ -72,7 +72,7 @@ def _command(folder, name):
 
 
 @pytest.mark.train
-def test_another_ground_takes_the_place_of_the_runs_own(run, script):
+def test_another_ground_replaces_the_ground_of_the_run(run, script):
     made = driven("--script", script, "--scene", "stairs", "recording.enabled=false")
     assert made["figures"]["scene"] == "stairs"
     said = refused("play", "latest", "--script", script, "--scene", "stars")
@@ -80,7 +80,7 @@ def test_another_ground_takes_the_place_of_the_runs_own(run, script):
 
 
 @pytest.mark.train
-def test_what_cannot_be_driven_is_told(run, script):
+def test_undrivable_runs_are_rejected(run, script):
     said = refused("play", "latest", "--script", script)
     assert [word for word in ("lin_vel_x: unknown key in a script", f"{script}:1") if word not in said] == []
     for words in (["--scene", "flat"], ["--port", "8080"]):
@@ -91,7 +91,7 @@ def test_what_cannot_be_driven_is_told(run, script):
 
 @pytest.mark.train
 @pytest.mark.parametrize("absent", ["viser", "mjviser"])
-def test_a_page_without_its_extra_says_what_to_install(run, monkeypatch, absent):
+def test_a_page_without_its_extra_names_the_package(run, monkeypatch, absent):
     monkeypatch.setitem(sys.modules, absent, None)
     said = refused("play", "latest", "--drive", "--port", "0", *RANGES)
     assert [word for word in (absent, 'pip install "wheelleg_exp[drive]"') if word not in said] == []

@@ -23,7 +23,7 @@ def test_a_port_in_use_is_reported_with_other_ports(busy):
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
-def test_what_is_no_port_is_told(port):
+def test_an_invalid_port_is_rejected(port):
     with pytest.raises(WheellegError, match=f"the port {port} for the page is not a valid TCP port"):
         require_free(port, "the page")
 

@@ -83,7 +83,7 @@ def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for
         ("- {for: 1, for: 2}", ["'for'", "repeated"]),
     ],
 )
-def test_a_mistake_is_told_with_its_line(script, text, words):
+def test_a_mistake_is_reported_with_its_line(script, text, words):
     with pytest.raises(ConfigError) as told:
         read_script(script(text), AXES)
     assert [word for word in words if word not in str(told.value)] == []
@@ -96,6 +96,6 @@ def test_a_task_without_jumps_has_no_jumps_in_its_scripts(script):
         read_script(script("- {jump: true, for: 1}"), AXES, jumps=False)
 
 
-def test_a_script_that_is_not_there_is_told(tmp_path):
+def test_a_missing_script_is_reported(tmp_path):
     with pytest.raises(RunDirectoryError, match="nowhere"):
         read_script(tmp_path / "nowhere.yaml", AXES)

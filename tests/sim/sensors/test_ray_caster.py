@@ -71,7 +71,7 @@ ON_STEP[2][2] = 0.25  # Only this ray hits the step.
     ],
     ids=["world alignment", "base alignment", "offset", "step", "drift"],
 )
-def test_rays_hit_the_ground_where_the_geometry_says(make, ground, settings, place_at, hits):
+def test_rays_hit_the_ground_at_the_geometric_distance(make, ground, settings, place_at, hits):
     found = place(make(ground, **settings), **place_at).ray_hits_w
     torch.testing.assert_close(found, points(*hits), atol=1e-5, rtol=0)
 

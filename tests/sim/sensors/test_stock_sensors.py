@@ -15,7 +15,7 @@ NAMES = [
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_measures_finite_numbers_and_goes_on_from_its_state(name, request):
+def test_it_measures_finite_numbers_and_continues_from_its_state(name, request):
     if name in DRAWN:
         request.getfixturevalue("graphics")
     config = compose_valid(["task=stand", "env.num_envs=2", f"+sensor@env.scene.sensors={name}"]).config

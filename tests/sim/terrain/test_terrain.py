@@ -47,7 +47,7 @@ def placed(ground: TerrainBase, num_envs: int, seed: int = 0) -> TerrainBase:
     return ground
 
 
-def test_on_a_plane_all_keep_their_origins():
+def test_on_a_plane_all_origins_stay():
     ground = placed(Plane(0.5, 0.5, 0.0), 4)
     before = ground.env_origins.clone()
     ground.update_env_origins(torch.arange(4), torch.ones(4, dtype=torch.bool), torch.zeros(4, dtype=torch.bool))

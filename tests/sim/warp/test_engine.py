@@ -171,7 +171,7 @@ def test_a_value_that_is_not_finite_affects_the_total_of_its_own_rows(sim, name,
         assert bool(found.isfinite()) is not spoilt
 
 
-def test_rays_go_as_far_as_the_geometry_says(sim):
+def test_rays_have_their_geometric_length(sim):
     sim.view("qpos")[:, 2] = torch.tensor([0.3, 0.5, 0.7, 5.0])
     origins = torch.tensor([(0.0, 0.0, 2.0), (3.0, 0.0, 2.0)], device=sim.device).expand(N, -1, -1)
     down = torch.tensor([0.0, 0.0, -1.0], device=sim.device).expand_as(origins)

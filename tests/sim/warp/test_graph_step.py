@@ -46,7 +46,7 @@ def waits(env) -> torch.Tensor:
     return alive if bool(alive.sum() > 0) else 2.0 * alive
 
 
-def test_a_step_with_a_term_that_waits_goes_on_kernel_by_kernel_and_names_it(device):
+def test_a_term_that_synchronises_is_named_and_its_step_runs_kernel_by_kernel(device):
     if not device.startswith("cuda"):
         pytest.skip("CUDA graphs need a GPU")
     plain, captured = stand(device, False), stand(device, True)

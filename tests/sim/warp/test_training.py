@@ -6,7 +6,7 @@ from jobs.small import TINY, wheelleg
 pytestmark = pytest.mark.train
 
 
-def test_a_training_runs_and_its_manifest_says_what_the_engine_promises(device, tmp_path, monkeypatch):
+def test_a_training_runs_and_its_manifest_states_the_promise_of_the_engine(device, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     short = (*TINY, "agent.max_iterations=1", "recording.enabled=false")
     said = wheelleg("train", "task=stand", "env.sim.engine=warp", f"env.sim.device={device}", *short)
