@@ -1,8 +1,8 @@
-"""Generate isaaclab_names.md: which of Isaac Lab's public names exist here.
+"""Generate tables/isaaclab_names.md: which of Isaac Lab's public names exist here.
 
     python docs/make_isaaclab.py
 
-isaaclab_names.yaml lists Isaac Lab 2.3.2's names and, where something is not here, why. A test holds the page.
+tables/isaaclab_names.yaml lists Isaac Lab 2.3.2's names and, where something is not here, why. A test holds the page.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Isaac Lab 2.3.2's public names, and what a live environment of the stock task ha
 
 def names() -> dict[str, Any]:
     """Return the names of Isaac Lab by class or module, and the reasons for what is absent."""
-    found: dict[str, Any] = yaml.safe_load((FOLDER / "isaaclab_names.yaml").read_text(encoding="utf-8"))
+    found: dict[str, Any] = yaml.safe_load((FOLDER / "tables" / "isaaclab_names.yaml").read_text(encoding="utf-8"))
     return found
 
 
@@ -102,4 +102,4 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    (FOLDER / "isaaclab_names.md").write_text(page(), encoding="utf-8")
+    (FOLDER / "tables" / "isaaclab_names.md").write_text(page(), encoding="utf-8")

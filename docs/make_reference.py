@@ -1,4 +1,4 @@
-"""Generate the pages reference.md, terms.md, rules.md, figures.md, modules.md, and isaaclab_names.md.
+"""Generate the pages terms.md, rules.md, figures.md, and tables/.
 
     python docs/make_reference.py
 
@@ -49,11 +49,11 @@ MOUNTS = {  # where a term file of each group stands when a task mounts it
 def pages() -> dict[str, str]:
     """Return the text of each page by its file name."""
     return {
-        "reference.md": _reference(),
+        "tables/reference.md": _reference(),
         "terms.md": _terms(),
         "rules.md": _rules(),
         "figures.md": _figures(),
-        "modules.md": _modules(),
+        "tables/modules.md": _modules(),
     }
 
 
@@ -62,7 +62,7 @@ def _reference() -> str:
         "# Every stock file\n",
         NOTE,
         "What stands in each file of `configs/`, by group. `wheelleg explain KEY` says the same of one key of a",
-        "composed config, with the place of every value; [config.md](config.md) explains how the parts work together.",
+        "composed config, with the place of every value; [config.md](../config.md) explains how the parts work together.",
         "Keys are those of a composed task; observation files can be mounted at other groups than `policy`, too.\n",
     ]
     names = catalog.groups()
@@ -82,7 +82,7 @@ def _file(entry: Entry) -> Iterator[str]:
     relative = entry.file.relative_to(configs_dir()).as_posix()
     title = f"`{entry.group}={entry.name}`" if entry.group else f"`{entry.name}.yaml`"
     yield f"### {title}\n"
-    yield f"{_top_comment(entry.file)} [`{relative}`](../configs/{relative})\n"
+    yield f"{_top_comment(entry.file)} [`{relative}`](../../configs/{relative})\n"
     rows = [
         f"| `{dotted((*_package(entry), *keys))}` | `{_value(value)}` | {_cell(_meaning(entry, content, keys))} |"
         for keys, value in leaves(content)

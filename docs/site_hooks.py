@@ -10,7 +10,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parents[1]
 # [`text`](../wheelleg_exp/x.py), also from a folder below docs/
-OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!results/|[\w]+\.md)([\w./-]+)(?:#[\w-]*)?\)")
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+(?!results/|tables/|[\w]+\.md)([\w./-]+)(?:#[\w-]*)?\)")
 
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:

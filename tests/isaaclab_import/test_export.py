@@ -19,7 +19,7 @@ from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, TILES, IsaacLabEnv
 from wheelleg_exp.plain_data import tagged_yaml_value
 
-NAMES = yaml.safe_load(Path("docs/isaaclab_names.yaml").read_text())["names"]
+NAMES = yaml.safe_load(Path("docs/tables/isaaclab_names.yaml").read_text())["names"]
 NOT_HERE = (
     "intensity",
     "scene.robot.spawn",

@@ -1,1 +1,1 @@
-"""Jobs of the commands: each joins asset, environment, learning, run, and recording (list: docs/modules.md)."""
+"""Jobs of the commands: each joins asset, environment, learning, run, and recording (list: docs/tables/modules.md)."""
