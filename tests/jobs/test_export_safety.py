@@ -9,7 +9,7 @@ import csv
 import json
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -95,9 +95,7 @@ class Loop:
         given = (self.readings(), self.steps * self.dt, self.steps * self.dt)
         given = given if change is None else change(*given)
         if given is not None:
-            self.targets = self.policy.update(*given)
-            self.inputs.append(given)
-            self.outputs.append(self.targets | {"steps": self.policy.steps})
+            self.update(*given)
         model, data = self.robot.model, self.robot.data
         for now, full in zip((model.actuator_gainprm, model.actuator_biasprm), self.gains, strict=True):
             now[:] = full * self.targets["gain"]
@@ -109,6 +107,11 @@ class Loop:
             data.qvel[:6] = 0.0
         self.steps += 1
         self.upright.append(self.robot.upright)
+
+    def update(self, readings: dict, time: float, now: float) -> None:
+        self.targets = self.policy.update(readings, time, now)
+        self.inputs.append((readings, time, now))
+        self.outputs.append(self.targets | {"steps": self.policy.steps})
 
     @property
     def statuses(self) -> list[int]:
@@ -231,6 +234,102 @@ def test_a_fault_gives_the_documented_statuses_and_the_robot_stands_2_s_later(na
     if "missed" in name and STOPPED not in expected:
         assert loop.policy.steps == STEPS
     loop.check()
+
+
+TICK = 16_667  # µs, a control step
+
+
+def tilted(cosine: np.float32) -> np.ndarray:
+    """Return gravity in the axes of a robot that is tilted about x by the angle of this cosine."""
+    return np.array([0.0, (1.0 - float(cosine) ** 2) ** 0.5, -cosine], np.float32)
+
+
+def up_to(bound: float, end: float = np.inf) -> tuple[np.float32, np.float32]:
+    """Return the float32 of a bound and the next float32 towards ``end``, which is beyond the bound."""
+    return np.float32(bound), np.nextafter(np.float32(bound), np.float32(end))
+
+
+def boundaries(spec: dict) -> Iterator[tuple[str, list[tuple[int, int, dict]], list[int]]]:
+    """Yield a name, the frames after ten good ones, and their statuses.
+
+    A frame is the time since the previous update (µs), the age of its readings (µs), and other readings than those of
+    a robot at rest. Each name has a frame at the boundary, and one a float or a microsecond beyond.
+    """
+    rules = spec["safety"]
+    bound = {name: [np.float32(v or 0) for v in rule["high"]] for name, rule in rules["readings"].items()}
+    moved = rules["readings"]["joint_pos"]["max_jump"][4]
+    for name, column, limit in (
+        ("base_ang_vel", 2, bound["base_ang_vel"][2]),
+        ("joint_vel", 1, bound["joint_vel"][1]),
+        ("joint_vel", 4, bound["joint_vel"][4]),
+        ("joint_pos", 4, moved),
+        ("projected_gravity", 2, 1.5),
+        ("projected_gravity", 2, 0.5),
+    ):
+        for sign in (-1,) if name == "projected_gravity" else (1, -1):
+            inside, beyond = up_to(sign * limit, 0.0 if limit == 0.5 else sign * np.inf)
+            for value, status in ((inside, OK), (beyond, HELD)):
+                changed = {name: {column: value}}
+                yield (
+                    f"{name} {value!r}",
+                    [(TICK, 0, changed), (TICK, 0, changed if status == OK else {})],
+                    [status, OK],
+                )
+    for side in ("low", "high"):  # A joint moves to its last plausible position, and one float further.
+        inside, beyond = up_to(rules["readings"]["joint_pos"][side][0], np.inf if side == "high" else -np.inf)
+        way = np.linspace(spec["default_joint_pos"][0], inside, 30, dtype=np.float32)
+        frames = [(TICK, 0, {"joint_pos": {0: value}}) for value in (*way, beyond, inside)]
+        yield f"joint_pos to its {side} bound", frames, [OK] * 30 + [HELD, OK]
+    largest, smaller = up_to(2.0**64, 0.0)
+    for value, status in ((smaller, OK), (largest, HELD)):
+        yield f"command {value!r}", [(TICK, 0, {"commands.base_velocity": {0: value}})], [status]
+    for count, status in ((rules["hold_steps"], HELD), (rules["hold_steps"] + 1, STOPPED)):
+        lost = [(TICK, 0, {"joint_vel": {0: NAN}})] * count
+        yield f"{count} lost readings", lost, [HELD] * (count - 1) + [status]
+    missed = rules["missed_steps"] + 1
+    for elapsed, status in (
+        (TICK // 2, HELD),
+        (TICK // 2 + 1, OK),
+        (TICK + TICK // 2, OK),
+        (TICK + TICK // 2 + 1, LATE),
+        (missed * TICK + TICK // 2, LATE),
+        (missed * TICK + TICK // 2 + 1, STOPPED),
+    ):
+        yield f"{elapsed} µs after the last update", [(elapsed, 0, {})], [status]
+    stale = round(1e6 * rules["stale_s"])
+    for age, status in ((stale, OK), (stale + 1, HELD), (-TICK, OK), (-TICK - 1, HELD)):
+        yield f"readings of an age of {age} µs", [(TICK, age, {})], [status]
+    steps = rules["fall"]["steps"]
+    at, beyond = up_to(np.cos(rules["fall"]["angle"]), -1.0)
+    lean = [(TICK, 0, {"projected_gravity": tilted(np.float32(cosine))}) for cosine in (0.95, 0.8, 0.65)]
+    for cosine, count, status in ((at, steps, OK), (beyond, steps - 1, OK), (beyond, steps, FALLEN)):
+        down = [(TICK, 0, {"projected_gravity": tilted(cosine)})] * count
+        yield f"cosine {cosine!r} for {count} steps", [*lean, *down], [OK] * (2 + count) + [status]
+    stop, wait = ((missed + 1) * TICK, 0, {}), round(rules["recover"]["stopped_s"] / spec["step_dt"])
+    at, beyond = up_to(np.cos(rules["recover"]["angle"]), -1.0)
+    for cosine, status in ((at, OK), (beyond, STOPPED)):
+        rest = [(TICK, 0, {"projected_gravity": tilted(cosine)})] * wait
+        yield f"upright to {cosine!r}", [stop, *rest], [STOPPED] * wait + [status]
+    for value, status in zip(up_to(rules["readings"]["joint_vel"]["slow"]), (OK, STOPPED), strict=True):
+        rest = [(TICK, 0, {"joint_vel": {5: value}})] * wait
+        yield f"slow to {value!r}", [stop, *rest], [STOPPED] * wait + [status]
+
+
+def test_both_programs_agree_at_each_boundary(bundle):
+    for name, frames, statuses in boundaries(json.loads((bundle / "policy.json").read_text())):
+        loop, now = Loop(bundle), 0
+        rest = {"base_ang_vel": np.zeros(3), "projected_gravity": np.array([0.0, 0.0, -1.0])}
+        rest |= {"joint_pos": np.array(loop.policy.spec["default_joint_pos"]), "joint_vel": np.zeros(6)}
+        rest |= {"commands.base_velocity": np.zeros(3)}
+        for elapsed, age, changes in [(TICK, 0, {})] * 10 + frames:
+            now += elapsed
+            readings = {key: np.array(value, np.float32) for key, value in rest.items()}
+            for key, values in changes.items():
+                for column, value in values.items() if isinstance(values, dict) else enumerate(values):
+                    readings[key][column] = value
+            loop.update(readings, (now - age) / 1e6, now / 1e6)
+        assert loop.statuses == [OK] * 10 + statuses, name
+        loop.check()
 
 
 @pytest.mark.parametrize("startup", [False, True])

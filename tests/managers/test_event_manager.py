@@ -5,6 +5,7 @@ import torch
 
 from managers import spies
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.managers.streams import Streams
 
 STILL = torch.zeros(4, 4)
 
@@ -52,6 +53,21 @@ def test_intervals_are_uniform_in_their_range_for_each_environment(make_env):
     assert 1.0 <= float(left.min()) < 1.02
     assert 2.98 < float(left.max()) <= 3.0
     assert float(left.mean()) == pytest.approx(2.0, abs=0.05)
+
+
+def test_each_timer_draws_from_its_own_stream(start_env):
+    """Timers are drawn at the construction, at the first reset, and when they expire."""
+    env = start_env(events={"a": _interval(1.0, 3.0), "b": _interval(0.03, 0.05)}, seed=5)
+    for name, low, high in (("a", 1.0, 3.0), ("b", 0.03, 0.05)):
+        stream = Streams(5).get(f"env.events.{name}.interval")
+        torch.rand(4, generator=stream)
+        second = low + (high - low) * torch.rand(4, generator=stream)
+        torch.testing.assert_close(env.event_manager._time_left[name], second)
+    third = low + (high - low) * torch.rand(4, generator=stream)
+    _run(env, 2)
+    expired = second < 0.04
+    assert 0 < expired.sum() < 4
+    torch.testing.assert_close(env.event_manager._time_left["b"][expired], third[: expired.sum()])
 
 
 def test_a_global_timer_fires_for_all_at_once_and_is_not_redrawn_at_resets(start_env):

@@ -196,13 +196,19 @@ def test_a_lagging_sensor_approaches_a_step_like_a_first_order_filter():
 
 
 def test_a_reset_starts_a_new_walk_and_filter_in_its_environments_only():
-    model, generator = noise.SensorErrors(drift=1.0, lag=5.0), gen()
-    for _ in range(3):
-        before = model(torch.zeros(4, 1), generator)
-    model.reset(torch.tensor([1, 3]), generator)
-    after = model(torch.full((4, 1), 100.0), generator)
-    assert (after[[0, 2]] - before[[0, 2]] < 99.0).all()  # The filter still follows the step.
-    assert (after[[1, 3]] - 100.0).abs().max() < 5.0  # One step of the walk, without a lag.
+    odd_and_even = {}
+    for settings in ({"drift": 0.1}, {"lag": 5.0}):
+        model, generator = noise.SensorErrors(**settings), gen()
+        for _ in range(99):
+            model(torch.zeros(2000, 1), generator)
+        model.reset(torch.arange(1, 2000, 2), generator)
+        readings = model(torch.ones(2000, 1), generator)
+        odd_and_even |= {name: (readings[1::2], readings[::2]) for name in settings}
+    walks = [float(readings.std()) for readings in odd_and_even["drift"]]
+    assert walks == pytest.approx([0.1, 0.1 * 100**0.5], rel=0.1)  # The walk has 1 step or 100.
+    once, later = odd_and_even["lag"]
+    assert (once == 1.0).all()
+    assert float(later.mean()) == pytest.approx(np.log(6.0) / 5.0, rel=0.1)  # the mean of 1 / (1 + T)
 
 
 def test_a_sensor_continues_from_its_saved_state():
