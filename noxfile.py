@@ -44,6 +44,12 @@ def quick(session: nox.Session) -> None:
 
 
 @nox.session
+def mutants(session: nox.Session) -> None:
+    """Plant the faults of tests/mutants.yaml in a copy, all or those with a given word, and check that tests fail."""
+    session.run(sys.executable, "tests/mutants.py", *session.posargs)
+
+
+@nox.session
 def lint(session: nox.Session) -> None:
     """Check style and formatting."""
     _python(session, "ruff", "check", ".")
