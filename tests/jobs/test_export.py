@@ -352,7 +352,7 @@ def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
 def run_c_header(folder: Path, place: Path, rows: np.ndarray, *flags: str) -> np.ndarray:
     """Return status, observation, action, and targets of the C header, one row for each row of start and readings."""
     if not (place / "main").exists():
-        (place / "main.c").write_text(MAIN)
+        shutil.copy(Path(__file__).with_name("policy_steps.c"), place / "main.c")
         command = ["cc", "-std=c99", *flags, f"-I{folder}", place / "main.c", "-o", place / "main", "-lm"]
         subprocess.run(command, check=True, timeout=PATIENCE_S)
     said = subprocess.run([place / "main"], input=rows.tobytes(), capture_output=True, check=True, timeout=PATIENCE_S)
@@ -371,28 +371,6 @@ def hold_c_header(folder: Path, place: Path) -> None:
     targets = recorded["targets"].reshape(len(rows), -1)
     wanted = np.concatenate([np.zeros((len(rows), 1)), recorded["observations"], recorded["actions"], targets], axis=1)
     assert (np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted))).max() <= 1e-6
-
-
-MAIN = """
-#include "policy.h"
-#include <stdio.h>
-#define WRITE(x) fwrite(&x, sizeof x, 1, stdout)
-int main(void) {
-    static policy_state state;
-    static policy_readings readings;
-    static policy_targets targets;
-    float begins, status;
-    while (fread(&begins, sizeof begins, 1, stdin) == 1 && fread(&readings, sizeof readings, 1, stdin) == 1) {
-        if (begins) policy_reset(&state);
-        status = (float)policy_step(&state, &readings, &targets);
-        WRITE(status);
-        WRITE(state.observation);
-        WRITE(state.action);
-        WRITE(targets);
-    }
-    return 0;
-}
-"""
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")

@@ -26,25 +26,8 @@ runner, simulate = programs("runner", "simulate")
 OK, HELD, LATE, FALLEN, STOPPED, STARTING = 0, 2, 3, 4, 5, 6
 FLAGS = ("-std=c99", "-O2", "-pedantic", "-Wall", "-Wextra", "-Werror")
 START, STEPS = 60, 200  # the control step of the fault, and the steps of an episode
+DRIVER = Path(__file__).with_name("policy_updates.c")
 NEEDS_CC = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler")
-DRIVER = """
-#include "policy.h"
-#include <stdio.h>
-int main(int argc, char **argv) {
-    static policy_guard guard;
-    struct { int64_t time, now; float quat[4]; policy_readings readings; char end; } in;
-    struct { float status, gain, steps; policy_targets targets; } out;
-    (void)argv;
-    policy_begin(&guard, argc > 1);
-    while (fread(&in, (size_t)(&in.end - (char *)&in), 1, stdin)) {
-        if (in.quat[0] < 9.0f) policy_projected_gravity(in.quat, in.readings.projected_gravity);
-        out.status = (float)policy_update(&guard, &in.readings, in.time, in.now, &out.targets, &out.gain);
-        out.steps = (float)guard.policy.steps;
-        fwrite(&out, sizeof out, 1, stdout);
-    }
-    return 0;
-}
-"""
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +50,7 @@ def replace_network(folder: Path, columns: list[int], weights: list[float]) -> N
     spec["safety"]["readings"]["commands.base_velocity"]["high"][0] = 0.05  # The small training had no speeds.
     (folder / "policy.json").write_text(json.dumps(spec))
     (folder / "policy.h").write_text(c_header(spec, arrays))
-    (folder / "driver.c").write_text(DRIVER)
+    shutil.copy(DRIVER, folder / "driver.c")
 
 
 class Loop:
@@ -477,7 +460,7 @@ def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path)
     for k in range(len(kinds)):
         arrays |= {f"weight_{k}": np.zeros((6, 6 if k else 135), np.float32), f"bias_{k}": np.zeros(6, np.float32)}
     (tmp_path / "policy.h").write_text(c_header(spec, arrays))
-    (tmp_path / "driver.c").write_text(DRIVER)
+    shutil.copy(DRIVER, tmp_path / "driver.c")
     command = ["cc", *FLAGS, "-O0", "-DPOLICY_REAL=float", "-Wdouble-promotion", "-c", "driver.c", "-o", "driver.o"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S)
     object_file = (tmp_path / "driver.o").read_bytes()

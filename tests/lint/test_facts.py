@@ -7,45 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from sim.small_envs import ASSETS
 
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import RobotFacts, compiled_robot
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.lint.physics_check import task_robot
 from wheelleg_exp.managers import SceneManager
-
-# The robot is a bar of 2 kg, 0.4 m above an axle with two wheels of 0.5 kg. A hip at half the height carries a bob.
-ROBOT = """
-<mujoco>
-  <compiler angle="radian"/>
-  <worldbody>
-    <body name="bar" pos="0 0 0.5">
-      <freejoint/>
-      <inertial pos="0 0 0" mass="2" diaginertia="0.02 0.03 0.02"/>
-      <geom type="box" size="0.1 0.1 0.05" pos="0 0 0.2"/>
-      <body name="bob" pos="0 0 -0.2">
-        <joint name="hip" axis="0 1 0" range="-1 1" armature="0.7"/>
-        <inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.002 0.001"/>
-      </body>
-      <body name="left_wheel" pos="0 0.3 -0.4">
-        <joint name="left" axis="0 1 0"/>
-        <inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>
-        <geom type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0" friction="0.9"/>
-      </body>
-      <body name="right_wheel" pos="0 -0.3 -0.4">
-        <joint name="right" axis="0 1 0"/>
-        <inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.003 0.002"/>
-        <geom type="cylinder" size="0.1 0.02" euler="1.5707963267948966 0 0" friction="0.9"/>
-      </body>
-      <body name="fan" pos="0 0 0.2">
-        <joint name="fan" axis="0 0 1"/>
-        <inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>
-        <geom type="sphere" size="0.01"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
 
 
 def drive(names: str, kind: str = "ImplicitActuator", **gains: Any) -> dict[str, Any]:
@@ -57,16 +25,14 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")
-def facts(tmp_path_factory: pytest.TempPathFactory) -> RobotFacts:
-    file = tmp_path_factory.mktemp("robot") / "robot.xml"
-    file.write_text(ROBOT)
+def facts() -> RobotFacts:
     env = dict(compose().config["env"])
     init = {"pos": [0, 0, 0.52], "rot": [1, 0, 0, 0], "joint_pos": {"hip": 0.0}, "joint_vel": {"hip": 0.5}}
     actuators = {"wheels": drive("left|right"), "hip": drive("hip", "IdealPDActuator", stiffness=5.0)}
     env["robot"] = {**env["robot"], "init_state": init, "joint_order": None, "actuators": actuators}
     env["sim"] = {**env["sim"], "gravity": [0.0, 0.0, -10.0]}
     env["scene"] = {**env["scene"], "sensors": {}}
-    scene = SceneManager(env, file, 1).scene
+    scene = SceneManager(env, ASSETS / "bar.xml", 1).scene
     return compiled_robot(scene.spec.compile(), scene.robot)[1]
 
 
