@@ -26,7 +26,7 @@ from wheelleg_exp.rl.ranks import joined
 
 with joined() as ranks:
     said = [ranks.any(ranks.rank == 1), ranks.any(False)]
-    said += [ranks.tell_all({"n": ranks.rank}), ranks.said_by_first(str(ranks.rank))]
+    said += [ranks.gather_all({"n": ranks.rank}), ranks.from_first(str(ranks.rank))]
     tree = {"x": torch.full((ranks.rank + 1,), float(ranks.rank)), "name": "r" * ranks.rank}
     said.append([[t["x"].tolist(), t["name"]] for t in ranks.gather(tree)])
     scalars = {"a": 1.0 + ranks.rank, "Perf/total_fps": 10.0, "Perf/learning_time": 2.0 - ranks.rank,
@@ -38,8 +38,8 @@ with joined() as ranks:
                 if ranks.rank == 1:
                     raise kind("is wrong", key="env.x", **({"evidence": evidence} if evidence else {}))
         except WheellegError as error:
-            kept = getattr(error, "evidence", None)
-            said.append([type(error).__name__, error.message, error.key, getattr(error, "keeps", None), bool(kept)])
+            evidence = bool(getattr(error, "evidence", None))
+            said.append([type(error).__name__, error.message, error.key, getattr(error, "saves_state", None), evidence])
     try:
         ranks.require_equal({"the config": "a" * (1 + ranks.rank)})
     except WheellegError as error:
@@ -89,7 +89,7 @@ def test_another_config_and_a_process_that_dies_are_detected(said):
 def test_a_single_process_sends_nothing_and_other_processes_have_their_own_streams():
     assert Ranks(0, 4).seed(5) == 5
     assert [Ranks(rank, 4).seed(5) for rank in (1, 2)] == [stream_seed(5, "rank/1"), stream_seed(5, "rank/2")]
-    assert (ALONE.any(True), ALONE.any(False), ALONE.tell_all([1]), ALONE.said_by_first(2)) == (True, False, [[1]], 2)
+    assert (ALONE.any(True), ALONE.any(False), ALONE.gather_all([1]), ALONE.from_first(2)) == (True, False, [[1]], 2)
     state = {"x": torch.ones(2)}
     assert ranks.state_of_all_ranks(ALONE, state) == state
     assert (ALONE.for_rsl_rl(), ALONE.seed(5)) == (None, 5)

@@ -309,8 +309,8 @@ def _difference(
 def _test(metric: Metric, first: Sequence[Evaluation], second: Sequence[Evaluation], are_pairs: bool) -> Test | None:
     (name,) = metric.columns
     if are_pairs:
-        kept = np.logical_and.reduce([metric.kept(one.episodes) for one in (*first, *second)])
-        one, other = (np.mean([each.episodes[name][kept] for each in group], axis=0) for group in (first, second))
+        counted = np.logical_and.reduce([metric.mask(one.episodes) for one in (*first, *second)])
+        one, other = (np.mean([each.episodes[name][counted] for each in group], axis=0) for group in (first, second))
         # If a metric of one method is not finite in an episode, drop the episode from both methods.
         finite = np.isfinite(one) & np.isfinite(other)
         one, other = one[finite], other[finite]

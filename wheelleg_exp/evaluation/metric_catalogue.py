@@ -182,20 +182,20 @@ class Metric:
     better: str = "lower"
     rows: Rows = everything
 
-    def kept(self, episodes: Mapping[str, Array]) -> Array:
+    def mask(self, episodes: Mapping[str, Array]) -> Array:
         """Return the mask of the episodes that a metric uses, (E,) bool."""
         mine = np.asarray(episodes["test"] == self.test)
         rows = {name: column[mine] for name, column in episodes.items()}
-        kept = self.rows(rows)
+        counted = self.rows(rows)
         for name in self.columns:
-            kept = kept & ~np.isnan(rows[name])
-        mine[mine] = kept
+            counted = counted & ~np.isnan(rows[name])
+        mine[mine] = counted
         return mine
 
     def values(self, episodes: Mapping[str, Array]) -> list[Array]:
         """Return the values of the episodes that a metric uses, one array (E,) per column."""
-        kept = self.kept(episodes)
-        return [episodes[name][kept] for name in self.columns]
+        counted = self.mask(episodes)
+        return [episodes[name][counted] for name in self.columns]
 
 
 def resampled(metric: Metric, episodes: Mapping[str, Array], seed: int, resamples: int) -> Array:

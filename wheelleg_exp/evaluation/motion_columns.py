@@ -242,14 +242,14 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         mine = command != 0.0
         share = velocity.double() / torch.where(mine, command, 1.0)  # 1 at the command
 
-        def kept(values: torch.Tensor, mine: torch.Tensor = mine) -> torch.Tensor:
+        def if_survived(values: torch.Tensor, mine: torch.Tensor = mine) -> torch.Tensor:
             return torch.where(mine & lived, values, torch.nan)
 
-        columns[f"settle_s_{name}"] = kept(last_exit((share - 1.0).abs() > options.band, windows[0], dt))
-        columns[f"overshoot_{name}"] = kept(largest(share - 1.0, windows[0]).clamp(min=0.0))
-        columns[f"reversal_s_{name}"] = kept(last_exit((share + 1.0).abs() > options.band, windows[1], dt))
+        columns[f"settle_s_{name}"] = if_survived(last_exit((share - 1.0).abs() > options.band, windows[0], dt))
+        columns[f"overshoot_{name}"] = if_survived(largest(share - 1.0, windows[0]).clamp(min=0.0))
+        columns[f"reversal_s_{name}"] = if_survived(last_exit((share + 1.0).abs() > options.band, windows[1], dt))
         drove = at(share, windows[2]) < -options.band
-        columns[f"stop_s_{name}"] = kept(last_exit(share.abs() > options.band, windows[2], dt), mine & drove)
+        columns[f"stop_s_{name}"] = if_survived(last_exit(share.abs() > options.band, windows[2], dt), mine & drove)
         for answer in ("settle", "reversal", "stop"):
             did = columns[f"{answer}_s_{name}"].isfinite().double()
             columns[f"{answer}_did_{name}"] = torch.where(mine, did, torch.nan)
@@ -258,7 +258,7 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
         way = made.pos[..., :2] - at(made.pos[..., :2], windows[2])
         driven = way[..., 0] * heading.cos() + way[..., 1] * heading.sin()
         beyond = largest((yaw - heading if name == "wz" else driven) * -command.sign(), windows[2])
-        columns[f"stop_distance_{name}"] = kept(beyond, mine & drove)
+        columns[f"stop_distance_{name}"] = if_survived(beyond, mine & drove)
     return columns
 
 

@@ -98,15 +98,15 @@ class AuthorTerms:
             waiting += _names(found[name], annotations=False) | _configs(found[name])
 
     def _text(self, file: Path) -> str:
-        kept = self._kept(file)
-        used, called = (set().union(*(_names(part, annotations=flag) for part in kept)) for flag in (True, False))
-        called |= set().union(*map(_configs, kept))
+        parts = self._parts(file)
+        used, called = (set().union(*(_names(part, annotations=flag) for part in parts)) for flag in (True, False))
+        called |= set().union(*map(_configs, parts))
         imports = [text for item in self._imports(file) if (text := self._import(item, used, called, file))]
-        source = "\n\n\n".join(ast.unparse(part) for part in kept)
+        source = "\n\n\n".join(ast.unparse(part) for part in parts)
         title = f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""'
         return "\n".join([title, "", "from __future__ import annotations", "", *imports, "", "", source, ""])
 
-    def _kept(self, file: Path) -> list[ast.stmt]:
+    def _parts(self, file: Path) -> list[ast.stmt]:
         """Return the needed definitions of a file."""
         return [part for part in self._trees[file].body if set(self._needed[file]) & set(_defined(part))]
 
@@ -119,7 +119,7 @@ class AuthorTerms:
 
     def _namespace(self, alias: str, file: Path) -> list[str]:
         """Return lines that replace an imported package of the author by a namespace of the used definitions."""
-        parts = [part for item in self._kept(file) for part in ast.walk(item) if isinstance(part, ast.Attribute)]
+        parts = [part for item in self._parts(file) for part in ast.walk(item) if isinstance(part, ast.Attribute)]
         used = sorted({part.attr for part in parts if isinstance(part.value, ast.Name) and part.value.id == alias})
         lines, fields = ["from types import SimpleNamespace"], []
         for name in used:

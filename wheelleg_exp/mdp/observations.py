@@ -11,7 +11,7 @@ import torch
 from wheelleg_exp.constraints import NonNegative, NotEmpty, Positive
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
-from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
+from wheelleg_exp.mdp.commands.velocity_commands import integrated_travel_error
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.ids import picked
@@ -268,7 +268,7 @@ def travel_error(env: Env, command_name: str) -> torch.Tensor:
     Args:
         command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the errors.
     """
-    return kept_travel_error(env, command_name)
+    return integrated_travel_error(env, command_name)
 
 
 def current_time_s(env: Env) -> torch.Tensor:

@@ -12,7 +12,7 @@ import torch
 from wheelleg_exp.constraints import Names, NonNegative, Positive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
-from wheelleg_exp.mdp.commands.velocity_commands import kept_travel_error
+from wheelleg_exp.mdp.commands.velocity_commands import integrated_travel_error
 from wheelleg_exp.mdp.root_motion import height_over_ground, level_velocity, roll_pitch
 from wheelleg_exp.sim.ids import fill_rows, picked
 from wheelleg_exp.sim.names import match_names
@@ -265,7 +265,7 @@ def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0
         command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the error.
         heading_length: length that one radian of heading error counts as, m.
     """
-    travel, heading = kept_travel_error(env, command_name).unbind(dim=1)
+    travel, heading = integrated_travel_error(env, command_name).unbind(dim=1)
     return travel.square() + (heading_length * heading).square()
 
 

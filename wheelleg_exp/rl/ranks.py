@@ -37,14 +37,14 @@ _COMMUNICATION = Path(dist.__file__).parent
 class FirstRankFailed(WheellegError):
     """The error that all processes (ranks) except the first raise if a training failed; the first reports the reason.
 
-    ``keeps`` is true if NaN or inf ended the training; then the first rank saves a checkpoint of the last iteration.
+    ``saves_state`` is true if NaN or inf ended the training: the first rank then saves a last checkpoint.
     """
 
     exit_code = EXIT_FAILED
 
-    def __init__(self, keeps: bool) -> None:
+    def __init__(self, saves_state: bool) -> None:
         super().__init__("the training has failed, and the first process reports the reason")
-        self.keeps = keeps
+        self.saves_state = saves_state
 
 
 class Left(SimulationFailure):
@@ -148,11 +148,11 @@ class Ranks:
             return None
         device = str(self.config(config)["agent"]["device"])
         mine = {"seed": self.seed(int(config["seed"])), "device": device, "host": socket.gethostname()}
-        each = self.tell_all(mine)
+        each = self.gather_all(mine)
         backend = "nccl" if device.startswith("cuda") else "gloo"
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
 
-    def tell_all(self, value: Any) -> list[Any]:
+    def gather_all(self, value: Any) -> list[Any]:
         """Send a JSON value to all processes (ranks), and return the values of all ranks in the order of the ranks."""
         return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
 
@@ -165,9 +165,9 @@ class Ranks:
             dist.all_reduce(number, op=dist.ReduceOp.MAX)
         return bool(number.item())
 
-    def said_by_first(self, value: Any) -> Any:
+    def from_first(self, value: Any) -> Any:
         """Send a JSON value from the first process (rank) to all ranks, and return this value on every rank."""
-        return self.tell_all(value if self.first else None)[0]
+        return self.gather_all(value if self.first else None)[0]
 
     def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Send this rank's state to the first rank. Return all ranks' states on the first rank, and [] elsewhere."""
@@ -211,9 +211,9 @@ class Ranks:
         if self.any(mine is not None):
             received = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
             rank, found = next(((rank, found) for rank, found in enumerate(received) if found["error"]), (0, {}))
-            keeps = self.said_by_first(bool(found.get("evidence")))
+            saves_state = self.from_first(bool(found.get("evidence")))
             if not self.first:
-                raise FirstRankFailed(keeps) from mine
+                raise FirstRankFailed(saves_state) from mine
             if mine is not None:
                 raise mine
             facts = dict(found["error"])
@@ -226,7 +226,7 @@ class Ranks:
         """Raise ConfigError if the hashes of config files, given by name, differ between processes (ranks)."""
         if not self.together:
             return
-        received = self.tell_all(dict(values))
+        received = self.gather_all(dict(values))
         with self.agreed():
             for rank, other in enumerate(received):
                 for name in (name for name in values if other[name] != received[0][name]):
@@ -241,7 +241,7 @@ class Ranks:
         """
         if not self.together:
             return dict(scalars)
-        received = self.tell_all(dict(scalars))
+        received = self.gather_all(dict(scalars))
         if not self.first:
             return dict(scalars)
         found = {}
@@ -304,6 +304,6 @@ def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, st
         return mine, True
     own = digests.of_state({key: state[key] for key in OWN_KEYS_OF_A_RANK if key in state})
     shared = {name: digest for name, digest in mine.items() if name not in own}
-    received = ranks.tell_all({"own": own, "shared": shared})
+    received = ranks.gather_all({"own": own, "shared": shared})
     equal = all(one["shared"] == received[0]["shared"] for one in received)
     return digests.joined(received[0]["shared"] | received[0]["own"], [one["own"] for one in received[1:]]), equal

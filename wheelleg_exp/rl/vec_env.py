@@ -62,8 +62,8 @@ class RslRlVecEnv(VecEnv):
             actions = self.half.actions(actions)
         observations, rewards, terminated, time_outs, extras = self.env.step(actions)
         dones = (terminated | time_outs).long()
-        told = {} if self._is_finite else {"time_outs": time_outs}
-        return self._as_tensordict(observations), rewards, dones, {**extras, **told}
+        time_limits = {} if self._is_finite else {"time_outs": time_outs}
+        return self._as_tensordict(observations), rewards, dones, {**extras, **time_limits}
 
     def _as_tensordict(self, observations: Observations) -> TensorDict:
         if self.half is not None:

@@ -44,6 +44,6 @@ def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest
                 state_of_all_ranks(ranks, state)
             stop.check(stopped)
     except FirstRankFailed as failure:
-        if failure.keeps and unsaved and state is not None:
+        if failure.saves_state and unsaved and state is not None:
             state_of_all_ranks(ranks, state)
         raise

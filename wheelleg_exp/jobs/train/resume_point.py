@@ -38,7 +38,7 @@ class ResumePoint:
     damaged: Mapping[Path, str]  # maps each damaged checkpoint after ``iteration`` to a text about the damage
 
     @property
-    def kept(self) -> list[Mapping[str, Any]]:
+    def earlier_lines(self) -> list[Mapping[str, Any]]:
         """The lines in the run's iteration log up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 
@@ -138,7 +138,7 @@ def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool)
             run.recording.unlink(missing_ok=True)
     cut(run.iterations, point.lines[point.iteration - 1].end if point.iteration else 0)
     if events:
-        cut_events(run.path, point.kept)
+        cut_events(run.path, point.earlier_lines)
 
 
 def _remove(paths: Iterable[Path]) -> None:

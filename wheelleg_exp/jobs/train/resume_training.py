@@ -83,7 +83,7 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
     """Prepare the resume of a run in a rank above 0; return the trainer and the config section ``agent``."""
     with ranks.agreed():
         pass  # The ranks above 0 wait while rank 0 reads the run directory.
-    message = ranks.said_by_first(None)
+    message = ranks.from_first(None)
     run = RunDirectory(Path(message["run"]))
     with ranks.agreed():
         recipe = resume_recipe(run, message["tree"], "", join_recorded(config_dirs, message["recorded"]))
@@ -93,7 +93,7 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
         if message["checkpoint"] is not None:
             state = checkpoint.load(Path(message["checkpoint"]), finite=False)
             why = load_state(trainer, state, message["learning_rate"])
-    ranks.tell_all([f"in process {ranks.rank}, {reason}" for reason in why])
+    ranks.gather_all([f"in process {ranks.rank}, {reason}" for reason in why])
     return trainer, message["tree"]["agent"]
 
 
@@ -152,7 +152,7 @@ def _prepare(
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
     # 2. Build the environment and the networks in every rank.
     if ranks.together:
-        ranks.said_by_first(
+        ranks.from_first(
             {
                 "run": str(run.path),
                 "tree": tree,
@@ -168,7 +168,7 @@ def _prepare(
     # 3. Load the checkpoint, and collect the reasons why the resumed run may be inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
-    why += [reason for reasons in ranks.tell_all([])[1:] for reason in reasons]
+    why += [reason for reasons in ranks.gather_all([])[1:] for reason in reasons]
     why += lasting_damage(run, manifest, point)
     differences = differences_now(run, threads, folders)
     why += [d.note or f"{d.section} {d.name} was {shorten(d.a)} and is {shorten(d.b)}" for d in differences]
@@ -195,7 +195,7 @@ def _prepare(
     dropped = point.dropped(tree["agent"]["max_iterations"])
     _report(display, point, len(dropped), why, [*notes, *thread_notes(threads)])
     recomputed = RecomputedCheck(dropped if exact else {}, manifest, display)
-    return Training(recipe, trainer, run, manifest, lock, point.kept, recomputed)
+    return Training(recipe, trainer, run, manifest, lock, point.earlier_lines, recomputed)
 
 
 def _require_ended(manifest: Manifest, display: Display) -> None:

@@ -147,7 +147,7 @@ class TrainingRecording(ObservingRecording):
     def _begin_recording(self) -> None:
         self._begin(self._first)
         if self._first == 0:
-            self._tell_bound(0)
+            self._note_bound(0)
 
     def _warning(self) -> str | None:
         """Return a warning if the recorded episodes of one iteration may not fit into the file's size limit."""
@@ -171,7 +171,7 @@ class TrainingRecording(ObservingRecording):
         if following % self._options.interval == 0:
             self._recorder.flush()
             self._begin(following)
-            self._tell_bound(following)
+            self._note_bound(following)
         else:
             self._recorder.flush(everything=False)
             self._recorder.iteration = following
@@ -195,7 +195,7 @@ class TrainingRecording(ObservingRecording):
     def _has_room(self, due: int) -> bool:
         return self._recorder.frames_until(due) + self._longest <= self._room
 
-    def _tell_bound(self, iteration: int) -> None:
+    def _note_bound(self, iteration: int) -> None:
         """Write a note into the recording when no further episodes fit into its size limit."""
         due, interval = self._env.common_step_counter, self._options.interval
         if self._has_room(due):

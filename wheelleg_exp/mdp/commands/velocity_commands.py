@@ -280,7 +280,7 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
     return signs
 
 
-def kept_travel_error(env: Env, command_name: str) -> torch.Tensor:
+def integrated_travel_error(env: Env, command_name: str) -> torch.Tensor:
     """Return the integrated distance error (m) and heading error (rad) of a travel command, (N, 2)."""
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
