@@ -12,6 +12,7 @@ import pytest
 from evaluation.conftest import balancer, noise, protocol, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation import Evaluation, evaluate
+from wheelleg_exp.evaluation.protocol import metric_names
 from wheelleg_exp.evaluation.protocol_options import PROPERTIES
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 
@@ -60,6 +61,11 @@ def gate(phase: str) -> Gate:
 
 def values(evaluation: Evaluation) -> dict[str, Any]:
     return {name: figure["value"] for name, figure in evaluation.as_dict()["metrics"].items()}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_names_of_all_metrics_are_known_without_a_simulation(task, found, name):
+    assert metric_names(*task, short(name)) == list(found("zeros", name).metrics)
 
 
 @pytest.mark.parametrize("policy", BAD)

@@ -66,6 +66,9 @@ def add_velocity(env: ManagerBasedRLEnv, change: torch.Tensor) -> None:
     env.scene.refresh()
 
 
+PUSH_COLUMNS = ("limit_m_s", "limit_normalised", "recovery_s", "recovered", "tilt_max_rad")
+
+
 def push_columns(
     rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
 ) -> tuple[Columns, Trajectories]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
 from wheelleg_exp.evaluation.disturbance_tests import (
+    PUSH_COLUMNS,
     World,
     disturbances,
     gain_ramp,
@@ -87,8 +88,7 @@ def evaluate(
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
     subject = Subject(env_cfg, mjcf, make_policy, options, seed, tell)
-    chosen = {test: getattr(options, test) for test in _SCENARIOS}
-    tables = [_SCENARIOS[test](test_options) for test, test_options in chosen.items() if test_options is not None]
+    tables = _tables(options)
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}
     for part in parts:
@@ -100,6 +100,34 @@ def evaluate(
         about_robot = about_robot | {"robot_differences": list(odd)}
     digest = hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
     return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
+
+
+def metric_names(env_cfg: Mapping[str, object], mjcf: Path, protocol: Mapping[str, object]) -> list[str]:
+    """Return the names of the metrics that ``evaluate`` would compute, from empty trajectories: nothing is simulated.
+
+    Raise ConfigError if the task lacks something that a test needs, such as a command.
+    """
+    options, found = read_section(Protocol, protocol, "protocol"), list[str]()
+    subject = Subject(env_cfg, mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
+    for table in _tables(options):
+        rollout = _placed(subject, replace(table, episodes=1))
+        env = rollout.env
+        width = env.action_manager.total_action_dim
+        made = Trajectories.empty(rollout.steps, env.num_envs, rollout.parts, width, env)
+        columns = identity(rollout, made)
+        if table.test == "robust" and options.robust is not None:
+            changed = list(worlds(subject.cfg(rollout.scenarios), options.robust))
+            columns |= _numbers(_world_columns(subject, rollout, made))
+            columns |= dict.fromkeys(
+                ["world", *(f"margin_{name}" for name in options.robust.margins or {})], np.zeros(1)
+            )
+            columns |= {"sweep": np.array([w.sweep for w in changed]), "value": np.array([w.value for w in changed])}
+        elif table.test == "push":
+            columns |= dict.fromkeys(PUSH_COLUMNS, np.zeros(1))
+        else:
+            columns |= _numbers(_columns(subject, rollout, made))
+        found += [metric.name for metric in metrics_of(table.test, columns, protocol)]
+    return found
 
 
 @dataclass(frozen=True)
@@ -124,6 +152,11 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
     "strip": scenarios.over_strips,
     "robust": scenarios.in_changed_world,
 }
+
+
+def _tables(options: Protocol) -> list[Scenarios]:
+    chosen = {test: getattr(options, test) for test in _SCENARIOS}
+    return [_SCENARIOS[test](test_options) for test, test_options in chosen.items() if test_options is not None]
 
 
 def _run(subject: Subject, table: Scenarios) -> Part:
@@ -167,9 +200,7 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     each, tell, margins = list(worlds(cfg, options)), subject.teller(table.test), options.margins or {}
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
-        motion = Motion(made, rollout.parts, subject.protocol.settle_s, subject.target)
-        columns = motion_columns.survival(made, []) | measured(motion, POSTURE)
-        columns |= motion_columns.errors(made, subject.protocol.settle_s)
+        columns = _world_columns(subject, rollout, made)
         names = {"sweep": np.full(table.size, changed.sweep), "value": np.full(table.size, changed.value)}
         names["world"] = np.full(table.size, float(number))
         found.append(identity(rollout, made) | names | _numbers(columns))
@@ -188,6 +219,12 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         if tell is not None:
             tell(len(each) + number + 1, len(each) + len(margins))
     return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))
+
+
+def _world_columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
+    settle = subject.protocol.settle_s
+    motion = Motion(made, rollout.parts, settle, subject.target)
+    return motion_columns.survival(made, []) | measured(motion, POSTURE) | motion_columns.errors(made, settle)
 
 
 def _rolled(subject: Subject, table: Scenarios, changed: World) -> tuple[Rollout, Trajectories]:

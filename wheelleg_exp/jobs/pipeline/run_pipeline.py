@@ -5,12 +5,10 @@ Before any training, ``require_metrics`` checks that evaluations compute all met
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.child_process import Event
@@ -18,7 +16,6 @@ from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.config.config_errors import parts, raise_all
-from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import (
     ConfigError,
     Interrupted,
@@ -27,7 +24,7 @@ from wheelleg_exp.errors import (
     WheellegError,
     nearest_name,
 )
-from wheelleg_exp.evaluation.protocol import evaluate
+from wheelleg_exp.evaluation.protocol import metric_names
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.files import while_running
 from wheelleg_exp.jobs.job_display import Display
@@ -48,12 +45,9 @@ from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.terms.config_sections import read_section
 from wheelleg_exp.terms.key_syntax import PIPELINE
 
-_TESTS = ("stand", "walk", "steps", "height", "push", "jump", "get_up", "terrain", "strip", "robust")
-
 
 def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed], folders: Sequence[Path]) -> None:
     """Raise ConfigError if a phase's evaluation does not compute a metric for which the phase has a bound."""
-    # A short evaluation gives the names of all metrics: NaN actions end its episodes after one step.
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
         if phase.gate is not None:
@@ -77,22 +71,11 @@ def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[Con
 
 
 def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
-    def nan_policy(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
-        actions = torch.full((env.num_envs, env.action_manager.total_action_dim), torch.nan, device=env.device)
-        return lambda _: actions
-
-    whole = compose_gate(gate, folders)
-    protocol: dict[str, Any] = whole.config["protocol"]
+    whole, config = compose_gate(gate, folders), composed.config
     with whole.placing():
-        # Check the user's evaluation settings before the loop below shortens each test to one episode.
-        read_section(Protocol, protocol, "protocol")
-    protocol["resamples"] = 1
-    for test in _TESTS:
-        if protocol.get(test) is not None:
-            protocol[test] = {**protocol[test], "episodes": 1}
-    config = composed.config
+        read_section(Protocol, whole.config["protocol"], "protocol")
     env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
-    return list(evaluate(env, prepare_asset(config, composed.asset_roots).output, nan_policy, protocol).metrics)
+    return metric_names(env, prepare_asset(config, composed.asset_roots).output, whole.config["protocol"])
 
 
 class PipelineRunner:
