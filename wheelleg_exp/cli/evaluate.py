@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, offer, print_json
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
 
 if TYPE_CHECKING:
-    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.evaluation.protocol import Tell
     from wheelleg_exp.jobs.evaluate_policy import Evaluated
     from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -22,13 +23,14 @@ REFERENCE = "reference"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
+    text = "a run directory, its id, 'latest', or a shipped policy: stock:walk"
+    offer("run", parser.add_argument("run", metavar="RUN", help=text))
     text = "runs that differ from the first by their seed; and protocol=walk, protocol.walk.episodes=128, or changes "
     text += "of the runs' parameters: env.sim.dt=0.002"
     parser.add_argument("overrides", nargs="*", metavar="RUN|OVERRIDE", help=text)
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     text = "compare with this run, in pairs of episodes, or with 'reference'; repeatable, once for each seed"
-    parser.add_argument("--against", metavar="RUN", action="append", default=[], help=text)
+    offer("run", parser.add_argument("--against", metavar="RUN", action="append", default=[], help=text))
     text = "evaluate the linear-quadratic reference controller too"
     parser.add_argument("--reference", action="store_true", help=text)
     text = "simulate with this engine instead of mujoco: physx (docs/engines.md) or warp"
@@ -42,11 +44,89 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
+@dataclass(frozen=True)
+class Policy:
+    """A run and the checkpoint of its policy."""
+
+    run: RunDirectory
+    checkpoint: Path
+
+
+@dataclass(frozen=True)
+class Request:
+    """The evaluations that the command line asks for.
+
+    ``policies`` are runs of one method that differ by their seed, and ``against`` the runs of another method, or empty.
+    ``engines`` are the names of two engines that are compared, or empty. ``reference`` evaluates the reference
+    controller too, and ``against_reference`` compares with it.
+    """
+
+    policies: list[Policy]
+    against: list[Policy]
+    overrides: list[str]
+    engines: tuple[str, ...]
+    reference: bool
+    against_reference: bool
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Evaluates policies with the settings of a command line; ``stored`` uses evaluations that a run already has."""
+
+    command: list[str]
+    config_dirs: list[Path]
+    stored: bool
+    tell: Tell
+
+    def policy(self, policy: Policy, overrides: Sequence[str]) -> Evaluated:
+        """Evaluate the policy of a run, or load the run's stored evaluation."""
+        from wheelleg_exp.jobs import evaluate_policy as jobs
+
+        run, checkpoint = policy.run, policy.checkpoint
+        if self.stored:
+            from wheelleg_exp.files import sha256
+
+            tree = jobs.evaluation_settings(run, overrides, self.config_dirs)
+            folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
+            if folder is not None:
+                found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
+                return jobs.Evaluated(run, checkpoint, folder, found, content)
+        from wheelleg_exp.inspection.evaluation_plots import draw
+
+        return jobs.evaluate_run(run, checkpoint, overrides, self.command, self.tell, self.config_dirs, draw)
+
+    def reference(self, made: Evaluated, overrides: Sequence[str]) -> Evaluated:
+        """Evaluate the linear-quadratic reference controller on the robot and task of an evaluated run."""
+        from wheelleg_exp.inspection.evaluation_plots import draw
+        from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
+
+        return evaluate_reference(made.run, overrides, self.command, self.tell, self.config_dirs, draw)
+
+
 def run(args: argparse.Namespace) -> int:
     """Evaluate one or several policies, print and store their metrics, and compare the policies with each other."""
-    from wheelleg_exp.cli.printing.metric_tables import print_evaluation
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
 
+    asked = _request(args)
+    with ConsoleDisplay(quiet=True) as display:
+        evaluator = Evaluator(args.command, args.config_dirs, args.kept, display.test)
+        made, against, reference = _evaluate(asked, evaluator)
+    if len(made) > 1 or against or reference is not None:
+        return _compare(made, against, reference, args.command, asked.engines, json=args.json)
+    (one,) = made
+    if args.json:
+        print_json({"run": str(one.run.path), "folder": str(one.folder), **one.content})
+        return EXIT_OK
+    from wheelleg_exp.cli.printing.metric_tables import print_evaluation
+
+    print(f"evaluated {shown(one.checkpoint or one.folder)} without exploration noise")
+    print_evaluation(one.content)
+    print(f"\nevaluation: {shown(one.folder)}")
+    return EXIT_OK
+
+
+def _request(args: argparse.Namespace) -> Request:
+    """Return the request of a command line; raise WheellegError if its options exclude each other."""
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
     others = [name for name in args.against if name != REFERENCE]
@@ -57,57 +137,55 @@ def run(args: argparse.Namespace) -> int:
         if nearest_name(name, [REFERENCE]) and not Path(name).exists():
             message = f"there is no run '{name}'"
             raise WheellegError(message, key="--against", expected="a run, or 'reference'", nearest=REFERENCE)
-    engines = _engines(args)
-    chosen, opposite = found(args, names), found(args, others)
-    _require_one_robot(chosen, "RUN")
-    _require_one_robot(opposite, "--against")
-    with ConsoleDisplay(quiet=True) as display:
-        if len(engines) == 2:
-            first, second = ([evaluated(args, *one, [*overrides, w], display) for one in chosen] for w in engines)
-            return _compare(args, first, second, None, args.engines.split(","))
-        overrides += engines
-        made = [evaluated(args, *one, overrides, display) for one in chosen]
-        against = [evaluated(args, *one, overrides, display) for one in opposite]
-        reference = None
-        if args.reference or REFERENCE in args.against:
-            reference = reference_of(args, made[0], overrides, display)
-            against = [reference] if REFERENCE in args.against else against
-    if len(made) > 1 or against or reference is not None:
-        return _compare(args, made, against, reference)
-    (one,) = made
-    if args.json:
-        print_json({"run": str(one.run.path), "folder": str(one.folder), **one.content})
-        return EXIT_OK
-    print(f"evaluated {shown(one.checkpoint or one.folder)} without exploration noise")
-    print_evaluation(one.content)
-    print(f"\nevaluation: {shown(one.folder)}")
-    return EXIT_OK
-
-
-def _engines(args: argparse.Namespace) -> list[str]:
-    """Return the overrides that select the engines of ``--engine`` or ``--engines``: none, one, or two."""
-    if args.engines is None:
-        return [] if args.engine is None else [f"env.sim.engine={args.engine}"]
-    names = args.engines.split(",")
-    if len(set(names)) != 2 or args.engine is not None or args.against or args.reference:
+    engines = () if args.engines is None else tuple(args.engines.split(","))
+    if args.engines is not None and (
+        len(set(engines)) != 2 or len(engines) != 2 or args.engine is not None or args.against or args.reference
+    ):
         message = f"'{args.engines}' does not name two engines, or another option excludes it"
         expected = "two engines, such as mujoco,physx, without --engine, --against, and --reference"
         raise WheellegError(message, key="--engines", expected=expected)
-    return [f"env.sim.engine={name}" for name in names]
+    chosen, opposite = found(names, args.root, args.checkpoint), found(others, args.root, args.checkpoint)
+    _require_one_robot(chosen, "RUN")
+    _require_one_robot(opposite, "--against")
+    overrides += [] if args.engine is None else [_on_engine(args.engine)]
+    return Request(chosen, opposite, overrides, engines, args.reference, REFERENCE in args.against)
+
+
+def _on_engine(name: str) -> str:
+    return f"env.sim.engine={name}"
+
+
+def _evaluate(asked: Request, evaluator: Evaluator) -> tuple[list[Evaluated], list[Evaluated], Evaluated | None]:
+    """Return the evaluations of the policies, those that they are compared with, and that of the reference."""
+    if asked.engines:
+        first, second = (
+            [evaluator.policy(one, [*asked.overrides, _on_engine(name)]) for one in asked.policies]
+            for name in asked.engines
+        )
+        return first, second, None
+    made, against = (
+        [evaluator.policy(one, asked.overrides) for one in side] for side in (asked.policies, asked.against)
+    )
+    if not (asked.reference or asked.against_reference):
+        return made, against, None
+    reference = evaluator.reference(made[0], asked.overrides)
+    return made, [reference] if asked.against_reference else against, reference
 
 
 def _compare(
-    args: argparse.Namespace,
     made: Sequence[Evaluated],
     against: Sequence[Evaluated],
     reference: Evaluated | None,
-    engines: Sequence[str] = (),
+    command: Sequence[str],
+    engines: Sequence[str],
+    *,
+    json: bool,
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
     from wheelleg_exp.jobs.evaluate_policy import compare
 
-    found = compare(made, against, reference, args.command, engines=engines)
-    if args.json:
+    found = compare(made, against, reference, command, engines=engines)
+    if json:
         folders = [str(one.folder) for one in (*made, *against, *([reference] if reference is not None else []))]
         print_json({"folder": str(found.folder), "evaluations": list(dict.fromkeys(folders)), **found.content})
         return EXIT_OK
@@ -118,52 +196,23 @@ def _compare(
     return EXIT_OK
 
 
-def found(args: argparse.Namespace, names: Sequence[str]) -> list[tuple[RunDirectory, Path]]:
+def found(names: Sequence[str], root: Path, checkpoint: str | None = None) -> list[Policy]:
     """Return the runs with the given names, each with a checkpoint; raise WheellegError for a repeated name."""
     from wheelleg_exp.run.run_directory import RunDirectory
 
-    asked, runs = getattr(args, "checkpoint", None), [RunDirectory.open(name, args.root) for name in names]
+    runs = [RunDirectory.open(name, root) for name in names]
     for index, directory in enumerate(runs):
         if directory in runs[:index]:
             message = f"run '{directory.id}' is named twice, and would count as two trainings"
             raise WheellegError(message, key="RUN", expected="each run once")
-    return [(run, chosen_checkpoint(run, asked)) for run in runs]
+    return [Policy(run, chosen_checkpoint(run, checkpoint)) for run in runs]
 
 
-def _require_one_robot(chosen: Sequence[tuple[RunDirectory, Path]], key: str) -> None:
+def _require_one_robot(chosen: Sequence[Policy], key: str) -> None:
     """Raise WheellegError if runs whose mean is printed were trained with different files of a robot."""
     from wheelleg_exp.jobs.saved_robot import saved_sources
 
-    for run, _ in chosen[1:]:
-        if saved_sources(run) != saved_sources(first := chosen[0][0]):
-            message = f"the runs '{first.id}' and '{run.id}' have different robots, so no mean of both is useful"
+    for policy in chosen[1:]:
+        if saved_sources(policy.run) != saved_sources(first := chosen[0].run):
+            message = f"the runs '{first.id}' and '{policy.run.id}' have different robots, so no mean of both is useful"
             raise WheellegError(message, key=key, expected="trainings of one robot with different seeds")
-
-
-def evaluated(
-    args: argparse.Namespace, run: RunDirectory, checkpoint: Path, overrides: Sequence[str], display: ConsoleDisplay
-) -> Evaluated:
-    """Evaluate the policy of one run, or load the run's stored evaluation if the option ``--kept`` is given."""
-    from wheelleg_exp.jobs import evaluate_policy as jobs
-
-    if args.kept:
-        from wheelleg_exp.files import sha256
-
-        tree = jobs.evaluation_settings(run, overrides, args.config_dirs)
-        folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
-        if folder is not None:
-            found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
-            return jobs.Evaluated(run, checkpoint, folder, found, content)
-    from wheelleg_exp.inspection.evaluation_plots import draw
-
-    return jobs.evaluate_run(run, checkpoint, overrides, args.command, display.test, args.config_dirs, draw)
-
-
-def reference_of(
-    args: argparse.Namespace, made: Evaluated, overrides: Sequence[str], display: ConsoleDisplay
-) -> Evaluated:
-    """Evaluate the linear-quadratic reference controller on the robot and task of an evaluated run."""
-    from wheelleg_exp.inspection.evaluation_plots import draw
-    from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
-
-    return evaluate_reference(made.run, overrides, args.command, display.test, args.config_dirs, draw)

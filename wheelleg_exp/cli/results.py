@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(args: argparse.Namespace) -> int:
-    from wheelleg_exp.cli.evaluate import evaluated, found, reference_of
+    from wheelleg_exp.cli.evaluate import Evaluator, found
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
     from wheelleg_exp.jobs.result_record import (
         compare_with_reference,
@@ -60,11 +60,12 @@ def _write(args: argparse.Namespace) -> int:
     if (path := args.into / f"{args.name}.json").exists() and not args.replace:
         expected = "another name, or --replace, which removes the old page and its manifests"
         raise WheellegError("there is a result of this name", key=shown(path.absolute()), expected=expected)
-    chosen = found(args, names)
-    require_one_method([directory for directory, _ in chosen])  # Raise an error for a run that cannot be reproduced.
+    chosen = found(names, args.root)
+    require_one_method([one.run for one in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
-        made = [evaluated(args, *one, words, display) for one in chosen]
-        reference = reference_of(args, made[0], words, display) if args.reference else None
+        evaluator = Evaluator(args.command, args.config_dirs, args.kept, display.test)
+        made = [evaluator.policy(one, words) for one in chosen]
+        reference = evaluator.reference(made[0], words) if args.reference else None
     compared = compare_with_reference(args.name, made, reference, args.command)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
