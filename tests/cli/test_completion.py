@@ -113,7 +113,7 @@ def test_a_broken_config_completes_nothing_and_prints_no_error(tmp_path, capsys)
 
 def _bash(line: str, tmp_path: Path) -> list[str]:
     program = tmp_path / "wheelleg"
-    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp "$@"\n')
     program.chmod(0o755)
     script = f"""
     eval "$(wheelleg completion bash)"
@@ -144,7 +144,7 @@ def test_bash_gets_the_part_after_the_last_break_and_a_space_when_complete(line,
 
 def test_an_interactive_bash_completes_on_tab(tmp_path):
     program, given = tmp_path / "wheelleg", tmp_path / "given"
-    real = f'exec {shlex.quote(sys.executable)} -m wheelleg_exp.cli.main "$@"'
+    real = f'exec {shlex.quote(sys.executable)} -m wheelleg_exp "$@"'
     program.write_text(f'#!/bin/sh\nif [ "$1" = completion ]; then {real}; fi\nprintf "%s|" "$@" > {given}\n')
     program.chmod(0o755)
     pid, terminal = pty.fork()

@@ -180,12 +180,11 @@ def test_version_and_help(capsys, probe):
 
 
 def test_a_reader_that_goes_away_is_not_an_error():
-    code = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(['--help']))"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        command = [sys.executable, "-c", code]
+        command = [sys.executable, "-m", "wheelleg_exp", "--help"]
         done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment)
     finally:
         os.close(writer)

@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from wheelleg_exp.cli.printing.terminal import hanging, shown
 from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, WheellegError, nearest_name, printable
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     First = Callable[[argparse.Namespace, StopRequest, Ranks], int]
     Other = Callable[[argparse.Namespace, StopRequest, Ranks], None]
+
+
+# What the shell completes an argument with: a kind of names, or the words themselves.
+Candidates = Literal["run", "run to resume", "run or task", "override", "robot", "key", "group", "primary"]
 
 
 class UsageError(WheellegError):
@@ -81,17 +85,27 @@ def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
     return UsageError(text, key=key)
 
 
+def offer(candidates: Candidates | Sequence[str], action: argparse.Action) -> None:
+    """Set the words with which the shell completes an argument; files complete an argument of type Path."""
+    vars(action)["candidates"] = candidates
+
+
+def offered(action: argparse.Action) -> Candidates | Sequence[str] | None:
+    """Return the candidates that ``offer`` has set for an argument, or the argument's choices."""
+    return vars(action).get("candidates", action.choices)
+
+
 def add_overrides(parser: argparse.ArgumentParser) -> None:
     """Add arguments for Hydra overrides and ``--config-dir`` to the parser of a command that composes a config."""
     text = "task=stand, env.rewards.alive.weight=2, ~env.events.push_robot, +reward@env.rewards=action_rate, ..."
-    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
+    offer("override", parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text))
     add_config_dir(parser)
 
 
 def add_primary(parser: argparse.ArgumentParser) -> None:
     """Add ``--primary``."""
     text = "the primary config (default: the one that the key or the overrides belong to)"
-    parser.add_argument("--primary", metavar="NAME", help=text)
+    offer("primary", parser.add_argument("--primary", metavar="NAME", help=text))
 
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:

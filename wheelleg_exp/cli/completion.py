@@ -8,10 +8,10 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import Parser
-from wheelleg_exp.cli.configs.doctor import ROBOT
+from wheelleg_exp.cli.arguments import Parser, offer, offered
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
+from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
 # A shell's completion script sets WHEELLEG_COMPLETE_LINE to the typed command line, and then calls `wheelleg`.
@@ -55,7 +55,8 @@ SCRIPTS = {"bash": BASH, "zsh": ZSH, "fish": FISH}
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("shell", choices=[*SCRIPTS, _QUERY], metavar="{" + ",".join(SCRIPTS) + "}", help="the shell")
+    shells = "{" + ",".join(SCRIPTS) + "}"
+    offer([*SCRIPTS], parser.add_argument("shell", choices=[*SCRIPTS, _QUERY], metavar=shells, help="the shell"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,10 +111,10 @@ def candidates(words: list[str], word: str) -> list[str]:
         return []
     parser = Parser(prog=typed[0])
     import_module(f"wheelleg_exp.cli.{command.module}").configure(parser)
-    return _arguments(parser, typed[1:], word, resumed=typed[0] == "resume")
+    return _arguments(parser, typed[1:], word)
 
 
-def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, resumed: bool) -> list[str]:
+def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> list[str]:
     options = {text: action for action in parser._actions for text in action.option_strings}
     positionals = [action for action in parser._actions if not action.option_strings]
     given: dict[str, list[str]] = {}
@@ -130,46 +131,39 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str, *, 
     if waiting is None and word.startswith("-"):
         return list(options)
     action = waiting or (positionals[position] if position < len(positionals) else None)
-    return [] if action is None else _of(action, word, given, resumed=resumed)
+    return [] if action is None else _of(action, word, given)
 
 
-def _of(action: argparse.Action, word: str, given: dict[str, list[str]], *, resumed: bool) -> list[str]:
-    """Return the completion candidates for a command-line argument, depending on its name in the help, such as RUN."""
-    name = str(action.metavar or action.dest)
+def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list[str]:
+    """Return the completion candidates for an argument; ``given`` contains the arguments before it, by name."""
+    kind = offered(action)
+    if kind is None:
+        return _files(word) if action.type is Path else []
+    if not isinstance(kind, str):
+        return [str(choice) for choice in kind]
     before = given.get("overrides", [])
     folders = with_current([Path(text) for text in given.get("config_dirs", [])])
     in_pipeline = any("." in text and names_pipeline(text) for text in (*before, word))
     primary = given.get("primary", [PIPELINE if in_pipeline else "train"])[-1]
-    if name.startswith("{"):
-        return name.strip("{}").split(",")
-    if action.choices is not None:
-        return [str(choice) for choice in action.choices]
-    if name in ("OVERRIDE", "KEY", ROBOT):
+    if kind in ("override", "robot", "key"):
         from wheelleg_exp.config.explaining.alternatives import complete_key, complete_override
 
-        files = _files(word) if name == ROBOT and "=" not in word else []
-        complete = complete_key if name == "KEY" else complete_override
-        return files + complete(word, before, folders, primary)
-    if name in ("RUN", "A", "B"):
-        from wheelleg_exp.config.explaining import catalog
-        from wheelleg_exp.run.run_directory import LATEST, PIPELINE_NAME, PIPELINES, run_folders
-        from wheelleg_exp.run.stock_policies import PREFIX, stock_names
-
-        root = Path(given.get("root", ["runs"])[-1])
-        found = [] if name == "RUN" else [entry.name for entry in catalog.tasks(folders)]
-        found += [LATEST, *(PREFIX + name for name in stock_names()), *(folder.name for folder in run_folders(root))]
-        if resumed:
-            found += sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
-        return found + _files(word)
-    if name == "GROUP":
-        from wheelleg_exp.config.explaining import catalog
-
-        return catalog.groups(folders)
-    if action.dest == "primary":
-        from wheelleg_exp.paths import configs_dir
-
+        files = _files(word) if kind == "robot" and "=" not in word else []
+        return files + (complete_key if kind == "key" else complete_override)(word, before, folders, primary)
+    if kind == "primary":
         return sorted(path.stem for path in configs_dir().glob("*.yaml"))
-    return _files(word) if isinstance(action.type, type) and issubclass(action.type, Path) else []
+    from wheelleg_exp.config.explaining import catalog
+    from wheelleg_exp.run.run_directory import LATEST, PIPELINE_NAME, PIPELINES, run_folders
+    from wheelleg_exp.run.stock_policies import PREFIX, stock_names
+
+    if kind == "group":
+        return catalog.groups(folders)
+    root = Path(given.get("root", ["runs"])[-1])
+    found = [entry.name for entry in catalog.tasks(folders)] if kind == "run or task" else []
+    found += [LATEST, *(PREFIX + name for name in stock_names()), *(folder.name for folder in run_folders(root))]
+    if kind == "run to resume":
+        found += sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))
+    return found + _files(word)
 
 
 def _files(word: str) -> list[str]:

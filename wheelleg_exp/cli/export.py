@@ -6,7 +6,7 @@ import argparse
 import shlex
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import add_json, add_root, chosen_checkpoint, offer, print_json
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK
 
@@ -19,7 +19,8 @@ _NEXT = {
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
+    text = "a run directory, its id, 'latest', or a shipped policy: stock:walk"
+    offer("run", parser.add_argument("run", metavar="RUN", help=text))
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     text = "bundle: runs without this program (default); isaaclab: a run folder of Isaac Lab; "
     text += "leapp: for ros2_control runtimes, needs the package leapp"

@@ -7,6 +7,7 @@ import os
 import shlex
 from pathlib import Path
 
+from wheelleg_exp.cli.arguments import offer
 from wheelleg_exp.errors import EXIT_OK
 
 _WIDEST = 200  # letters of a row's text; README.md has the whole text
@@ -14,7 +15,8 @@ _WIDEST = 200  # letters of a row's text; README.md has the whole text
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("source", metavar="RUN", type=Path, help="the run's folder, or its env.yaml or deploy.yaml")
+    text = "the run's folder, or its env.yaml or deploy.yaml"
+    offer("run", parser.add_argument("source", metavar="RUN", type=Path, help=text))
     parser.add_argument("--robot", metavar="FILE", type=Path, required=True, help="the robot's USD or URDF file")
     parser.add_argument("--policy", metavar="FILE", type=Path, help="a policy: model_<n>.pt, policy.pt, or policy.onnx")
     text = "the author's Python code, of which the needed functions are copied, and then run"

@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, offer, print_json
 from wheelleg_exp.cli.printing.terminal import styled
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, RunDirectoryError
 
@@ -69,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     text = "a run directory, its id, 'latest', or a recording; with --against a robot's log (.csv, .parquet, .mcap)"
     parser.add_argument("recording", metavar="RUN|FILE", help=text)
     text = "compare a robot's log with the policy and the simulation of this run; exit status 1 if they differ"
-    parser.add_argument("--against", metavar="RUN", help=text)
+    offer("run", parser.add_argument("--against", metavar="RUN", help=text))
     parser.add_argument("--play", action="store_true", help="use the newest play of the run instead of its training")
     parser.add_argument("--id", metavar="ID", help="the id of the recording, if the file contains several")
     add_root(parser)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, offer, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, screen_width, table_width
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
@@ -39,13 +39,16 @@ class Listed(NamedTuple):
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("kind", nargs="?", default="tasks", metavar="{" + ",".join(_LISTS) + "}", help="what to list")
-    parser.add_argument("group", nargs="?", metavar="GROUP", help="the group (reward) whose terms or options to list")
+    kinds = "{" + ",".join(_LISTS) + "}"
+    offer([*_LISTS], parser.add_argument("kind", nargs="?", default="tasks", metavar=kinds, help="what to list"))
+    text = "the group (reward) whose terms or options to list"
+    offer("group", parser.add_argument("group", nargs="?", metavar="GROUP", help=text))
     of_runs = parser.add_argument_group("list runs")
     text = "only runs that meet every condition: task=stand status!=failed 'return>5' name='abl*' "
     text += "agent.algorithm.gamma=0.99"
     of_runs.add_argument("--filter", nargs="+", action="extend", default=[], metavar="CONDITION", help=text)
-    of_runs.add_argument("--sort", metavar="KEY", help="sort by a column or a key of the config, the largest first")
+    text = "sort by a column or a key of the config, the largest first"
+    offer("key", of_runs.add_argument("--sort", metavar="KEY", help=text))
     of_runs.add_argument("--reverse", action="store_true", help="list the smallest value, or the oldest run, first")
     of_runs.add_argument("--sweep", metavar="SWEEP", help="only the runs of a sweep ('latest'), with their differences")
     parser.add_argument("--root", type=Path, metavar="DIR", help="the folder of the runs (default: runs)")

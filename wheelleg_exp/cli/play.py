@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, chosen_checkpoint, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, chosen_checkpoint, offer, print_json
 from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_OK
 
@@ -21,9 +21,10 @@ _PORT = 8080
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, 'latest', or a shipped policy: stock:walk")
+    text = "a run directory, its id, 'latest', or a shipped policy: stock:walk"
+    offer("run", parser.add_argument("run", metavar="RUN", help=text))
     text = "changes for this play: env.num_envs=16, seed=7"
-    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
+    offer("override", parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text))
     parser.add_argument("--checkpoint", metavar="FILE|ITERATION", help="the checkpoint (default: the last one)")
     parser.add_argument("--drive", action="store_true", help="drive the robot by hand, live in the browser")
     text = "drive the robot by a list of commands (docs/drive.md)"

@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import add_json, print_json
+from wheelleg_exp.cli.arguments import add_json, offer, print_json
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "Re-run a training from its snapshot alone, and compare. This runs the code of the run's commit plus the "
         "run's patch, with all your rights: replay only runs from people whose code you would run."
     )
-    parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'")
+    offer("run", parser.add_argument("run", metavar="RUN", help="a run directory, its id, or 'latest'"))
     text = "a clone that contains the run's commit (repeatable); "
     text += "by default the recorded folder, then the current checkout"
     parser.add_argument(

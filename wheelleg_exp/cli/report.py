@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import add_json, add_root, offer, print_json
 from wheelleg_exp.errors import EXIT_OK
 from wheelleg_exp.paths import show_file
 
@@ -13,7 +13,7 @@ from wheelleg_exp.paths import show_file
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     text = "a run directory, its id, 'latest', the folder of an agent's run, or a sweep; several are compared"
-    parser.add_argument("run", nargs="+", metavar="RUN", help=text)
+    offer("run", parser.add_argument("run", nargs="+", metavar="RUN", help=text))
     text = "the file to write (default: report.html in the run's or sweep's folder; comparison.html for several)"
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=text)
     add_root(parser)

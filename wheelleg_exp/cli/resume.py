@@ -6,7 +6,7 @@ import argparse
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, together
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, offer, together
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.cli.train import print_trained, train_on
 from wheelleg_exp.torchrun import require_alone, world_size
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     text = "a run directory, its id, or 'latest'; or the folder or id of a pipeline"
-    parser.add_argument("run", metavar="RUN", help=text)
+    offer("run to resume", parser.add_argument("run", metavar="RUN", help=text))
     text = "changes for the remaining training: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ..."
-    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text)
+    offer("override", parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text))
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_json, add_root, offer, print_json
 from wheelleg_exp.cli.printing.terminal import hanging
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 
@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("a", metavar="RUN", help="a run's path, its id, or latest")
-    parser.add_argument("b", metavar="RUN", nargs="?", help="another run, which is compared with the first")
+    offer("run", parser.add_argument("a", metavar="RUN", help="a run's path, its id, or latest"))
+    text = "another run, which is compared with the first"
+    offer("run", parser.add_argument("b", metavar="RUN", nargs="?", help=text))
     add_root(parser)
     parser.add_argument("--common", action="store_true", help="compare only the iterations that both runs have")
     parser.add_argument("--iterations", type=int, metavar="N", help="compare only the first N iterations")

@@ -6,7 +6,15 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.arguments import add_json, add_overrides, add_primary, primary_of, print_json, source_document
+from wheelleg_exp.cli.arguments import (
+    add_json,
+    add_overrides,
+    add_primary,
+    offer,
+    primary_of,
+    print_json,
+    source_document,
+)
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_width
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
@@ -24,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_overrides(parser)
     add_json(parser)
     add_primary(parser)
-    parser.add_argument("--package", metavar="KEY", help="print only the part below this key")
+    offer("key", parser.add_argument("--package", metavar="KEY", help="print only the part below this key"))
     parser.add_argument("--resolve", action="store_true", help="replace each ${...} by its value")
     text = "print the place of each leaf, and the values that it replaced"
     parser.add_argument("--provenance", action="store_true", help=text)

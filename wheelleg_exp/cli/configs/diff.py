@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, print_json
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, offer, print_json
 from wheelleg_exp.cli.printing.terminal import print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 from wheelleg_exp.report.value_format import plain as shown
@@ -21,8 +21,8 @@ _WIDEST = 44  # `wheelleg diff` prints at most 44 characters of a config value.
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("a", metavar="A", help=_SIDE)
-    parser.add_argument("b", metavar="B", help="the second run, task, or list of overrides")
+    offer("run or task", parser.add_argument("a", metavar="A", help=_SIDE))
+    offer("run or task", parser.add_argument("b", metavar="B", help="the second run, task, or list of overrides"))
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, print_json
+from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, offer, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK
 from wheelleg_exp.packages import with_current
@@ -15,14 +15,13 @@ if TYPE_CHECKING:
     from wheelleg_exp.lint.diagnosis import Diagnosis
 
 _FILES = (".usd", ".usda", ".usdc", ".usdz", ".urdf", ".xml", ".mjcf", ".xacro")
-ROBOT = "ROBOT|OVERRIDE"
 _COLUMNS = ("", "", "place", "what", "write", "known by")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "a USD, URDF or MJCF file; or task=… and other overrides"
-    parser.add_argument("overrides", nargs="+", metavar=ROBOT, help=text)
+    offer("robot", parser.add_argument("overrides", nargs="+", metavar="ROBOT|OVERRIDE", help=text))
     text = "write a picture: colliders, centre of mass, support, contacts"
     parser.add_argument("--screenshot", type=Path, metavar="FILE", help=text)
     parser.add_argument("--all", action="store_true", help="also show the findings that the task silences")

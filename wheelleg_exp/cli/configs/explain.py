@@ -6,7 +6,15 @@ import argparse
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from wheelleg_exp.cli.arguments import add_json, add_overrides, add_primary, primary_of, print_json, source_document
+from wheelleg_exp.cli.arguments import (
+    add_json,
+    add_overrides,
+    add_primary,
+    offer,
+    primary_of,
+    print_json,
+    source_document,
+)
 from wheelleg_exp.cli.printing.terminal import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.provenance import Mount
@@ -22,7 +30,7 @@ _SHOWN = 24  # `wheelleg explain` prints at most 24 values or keys of a list.
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("key", metavar="KEY", help="a key, set or not (env.sim.dt), or a group (robot)")
+    offer("key", parser.add_argument("key", metavar="KEY", help="a key, set or not (env.sim.dt), or a group (robot)"))
     add_overrides(parser)
     add_json(parser)
     add_primary(parser)
