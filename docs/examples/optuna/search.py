@@ -18,7 +18,7 @@ OWN = ["hydra/sweeper=optuna", "hydra.sweeper.direction=maximize", "hydra.sweepe
 def trial(_: DictConfig) -> float:
     """Train with the trial's overrides in a process of its own, and return how well it went."""
     overrides = [word for word in HydraConfig.get().overrides.task if not word.startswith("hydra")]
-    command = [sys.executable, "-m", "wheelleg_exp.cli.main", "train", *overrides, "--json"]
+    command = [sys.executable, "-m", "wheelleg_exp", "train", *overrides, "--json"]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
     if done.returncode == 130:
         raise KeyboardInterrupt
