@@ -29,8 +29,8 @@ import torch  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.config.schema import RecordingOptions  # noqa: E402
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording  # noqa: E402
-from wheelleg_exp.recording.recording_options import RecordingOptions  # noqa: E402
 from wheelleg_exp.rl.trainer import Iteration, Trainer  # noqa: E402
 from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
 from wheelleg_exp.run.run_directory import RunDirectory  # noqa: E402

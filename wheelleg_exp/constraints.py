@@ -124,6 +124,15 @@ class Rising(Ordered):
         return len(value) == 2 and bool(value[0] < value[1])
 
 
+class OfNodes(Constraint):
+    """A mapping whose values are checked by the code that builds them, because the value's ``_target_`` defines it."""
+
+    form = "a mapping"
+
+    def holds(self, value: Any) -> bool:
+        return isinstance(value, Mapping)
+
+
 class Targeted(Constraint):
     """A mapping with a ``_target_``."""
 
@@ -155,7 +164,10 @@ Interval = Annotated[Sequence[float], Ordered()]
 PositiveInterval = Annotated[Sequence[Positive], Ordered()]
 NonNegativeInterval = Annotated[Sequence[NonNegative], Ordered()]
 Bounds = Annotated[Sequence[Annotated[float, MayBeInfinite()]], Ordered()]  # may be infinite
+# The target of a node defines the node's other keys, so their values are open. A class of rsl_rl defines `Parameters`.
 Node = Annotated[Mapping[str, Any], Targeted()]
+Terms = Annotated[Mapping[str, Node], OfNodes()]
+Parameters = Annotated[Mapping[str, Any], OfNodes()]
 PathBelow = Annotated[str, Pattern(r"(?!(.*/)?\.{0,2}(/|$))[^/\\\0][^\\\0]*", "a file's path below a folder")]
 Names = str | Annotated[Sequence[str], NotEmpty()]  # regular expressions
 

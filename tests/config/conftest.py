@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import small_tree
-from options_stand_in import RobotOptions, RunOptions, SceneOptions, SimOptions
+from options_stand_in import Experiment
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking import find_mistakes
@@ -17,7 +17,6 @@ from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.terms import term_binding
 
 ROBOT = RobotNames(["a", "b", "left_hip", "wheel"], ["base", "foot"])
-STAND_INS = {"env.sim": SimOptions, "env.scene": SceneOptions, "env.robot": RobotOptions, "run": RunOptions}
 
 
 @pytest.fixture
@@ -29,7 +28,7 @@ def stock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(config_loader, "configs_dir", lambda: folder)
     monkeypatch.setattr(find_mistakes, "read_names", lambda robot, roots: ROBOT)
     monkeypatch.setattr(term_binding, "allowed_packages", lambda: ("wheelleg_exp", "shelf_terms"))
-    monkeypatch.setattr(schema, "OPTIONS", {path: f"options_stand_in.{o.__name__}" for path, o in STAND_INS.items()})
+    monkeypatch.setattr(schema, "Experiment", Experiment)
     return folder
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from wheelleg_exp.constraints import Positive
+from wheelleg_exp.config import schema
+from wheelleg_exp.constraints import Parameters, Positive
+from wheelleg_exp.sim.options import EnvOptions
 
 
 @dataclass(frozen=True)
@@ -32,3 +34,17 @@ class RobotOptions:
 class RunOptions:
     root: str
     name: str | None
+
+
+@dataclass(frozen=True)
+class SmallEnv(EnvOptions):
+    sim: SimOptions
+    scene: SceneOptions
+    robot: RobotOptions
+
+
+@dataclass(frozen=True)
+class Experiment(schema.Experiment):
+    env: SmallEnv
+    recording: Parameters
+    run: RunOptions

@@ -11,7 +11,8 @@ from wheelleg_exp.config.explaining.key_documentation import parameters_in, unit
 from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl.options import Agent
-from wheelleg_exp.terms.config_sections import Env, keys_of
+from wheelleg_exp.sim.options import EnvOptions
+from wheelleg_exp.terms.config_sections import keys_of
 from wheelleg_exp.terms.key_syntax import dotted
 from wheelleg_exp.terms.term_binding import RESERVED
 
@@ -103,7 +104,7 @@ def test_parameters_of_rsl_rl_names_and_the_inside_of_default_objects_are_explai
 
 def test_every_field_of_a_manager_and_every_fixed_key_has_a_meaning():
     assert set(fixed.FIELDS) == {name for names in RESERVED.values() for name in names}
-    for path, options in {"": schema.Root, "env": Env, "agent": Agent, "task": schema.Task}.items():
+    for path, options in {"": schema.Experiment, "env": EnvOptions, "agent": Agent, "task": schema.Task}.items():
         for name in keys_of(options):
             assert fixed.meaning_of((*filter(None, path.split(".")), name)), (path, name)
 

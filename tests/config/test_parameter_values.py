@@ -266,7 +266,7 @@ def stand() -> tuple[dict[str, Any], Path]:
 def test_building_the_environment_refuses_a_wrong_value_with_the_same_message(override, stand):
     config, mjcf = stand
     tree = apply_overrides(config, [override])
-    checked = {str(error.key): str(error) for error in check_tree(tree, schema.Root)}
+    checked = {str(error.key): str(error) for error in check_tree(tree, schema.Experiment)}
     with pytest.raises(ConfigError) as caught:
         ManagerBasedRLEnv(tree["env"], mjcf, 0)
     assert str(caught.value) == checked[_place(override)[0]]
@@ -275,7 +275,7 @@ def test_building_the_environment_refuses_a_wrong_value_with_the_same_message(ov
 @pytest.mark.parametrize("override", [word for word in WRONG if word.lstrip("+").startswith("agent.")])
 def test_building_the_agent_refuses_a_wrong_value_with_the_same_message(override, stand):
     tree = apply_overrides(stand[0], [override])
-    checked = [str(error) for error in check_tree(tree, schema.Root)]
+    checked = [str(error) for error in check_tree(tree, schema.Experiment)]
     with pytest.raises(ConfigError) as caught:
         require_agent(tree["agent"], 2)
     assert [str(caught.value)] == checked

@@ -8,8 +8,11 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining import catalog
+from wheelleg_exp.config.schema import Experiment
+from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.jobs.pipeline.pipeline_phases import PipelineRoot
 from wheelleg_exp.paths import configs_dir
-from wheelleg_exp.terms.config_sections import keys_of
+from wheelleg_exp.terms.config_sections import section_errors
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))
 PRIMARIES = sorted(path.stem for path in configs_dir().glob("*.yaml"))
@@ -40,13 +43,10 @@ def test_every_stock_term_has_a_target_with_a_docstring():
 
 
 def test_the_dataclass_of_a_section_exists_and_describes_the_stock_section():
-    configs = {"": compose().config, "protocol": compose(primary="evaluate").config}
-    configs["pipeline"] = compose(["pipeline=stand_to_terrain"], primary="pipeline").config
-    for path in schema.OPTIONS:
-        options, node = schema.options_of(path), configs.get(path, configs[""])
-        for key in path.split("."):
-            node = node[key]
-        assert set(node) <= set(keys_of(options)), path
+    pipeline, protocol = (compose(primary=primary).config for primary in ("pipeline", "evaluate"))
+    for options, config in ((Experiment, compose().config), (Protocol, protocol["protocol"]), (PipelineRoot, pipeline)):
+        assert section_errors("", config, options) == []
+    assert schema.root_of(protocol).__name__ == "EvaluateRoot"
 
 
 def test_a_child_of_a_stock_task_in_a_users_folder(tmp_path):

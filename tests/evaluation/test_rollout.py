@@ -13,7 +13,7 @@ from evaluation.conftest import protocol, stub_env, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import disturbances, gain_ramp, margin, world, worlds
-from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg
+from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol import evaluate
@@ -21,15 +21,19 @@ from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, getting_up, in_changed_world, jumping, standing
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
-from wheelleg_exp.terms.config_sections import read_section
+from wheelleg_exp.sim.options import EnvOptions, read_env
+from wheelleg_exp.terms.config_sections import Realism, read_section
 
 
-def rollout(task, scenarios, cfg=None) -> Rollout:
+def settings(env, options, num_envs=2, horizon_s=1.0) -> EnvOptions:
+    return evaluation_options(read_env(env), options, num_envs, horizon_s, "flat")
+
+
+def rollout(task, scenarios, env=None) -> Rollout:
     options = read_section(Protocol, protocol("stand"), "protocol")
-    cfg = cfg or evaluation_cfg(task[0], options, scenarios.size, scenarios.horizon_s, "flat")
-    return Rollout(
-        build({**cfg, "terminations": {}}, task[1], 5), scenarios, replace(options, fall_tilt=3.2, settle_s=0.0)
-    )
+    env = env or settings(task[0], options, scenarios.size, scenarios.horizon_s)
+    made = build(replace(env, terminations={}), task[1], 5)
+    return Rollout(made, scenarios, replace(options, fall_tilt=3.2, settle_s=0.0))
 
 
 def test_commands_follow_the_table_and_appear_in_every_observation(task):
@@ -65,7 +69,7 @@ def held(task, name, term, make, *changes) -> torch.Tensor:
     options = read_section(Protocol, protocol(name, *changes), "protocol")
     env = compose([f"task={'jump' if term == 'jump' else 'height'}"]).config["env"]
     table = make(getattr(options, name))
-    cfg = evaluation_cfg(env, options, table.size, 4.0, "flat") | {"terminations": {}}
+    cfg = replace(settings(env, options, table.size, 4.0), terminations={})
     made = Rollout(build(cfg, task[1], 5), replace(table, horizon_s=4.0), replace(options, fall_tilt=3.2))
     seen = []
     policy = zeros(made.env)
@@ -100,7 +104,7 @@ def test_a_task_without_a_command_for_jumps_cannot_be_tested_for_jumps(task):
     options = read_section(Protocol, protocol("jump"), "protocol")
     assert options.jump is not None
     table = jumping(replace(options.jump, episodes=1))
-    env = build(evaluation_cfg(task[0], options, table.size, 1.0, "flat"), task[1], 5)
+    env = build(settings(task[0], options, table.size), task[1], 5)
     with pytest.raises(ConfigError, match=r"env\.commands.*commands no jump"):
         Rollout(env, table, options)
 
@@ -178,10 +182,10 @@ SWEEPS = ("friction=[0.3]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[
 def changed(task) -> dict[tuple[str, float], Env]:
     options = read_section(Protocol, protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS)), "protocol")
     assert options.robust is not None
-    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
+    cfg = settings(task[0], options)
     wanted = ("nominal", "friction", "mass", "com", "gains", "noise")
     found = [world for world in worlds(cfg, options.robust) if world.sweep in wanted]
-    return {(world.sweep, world.value): build(world.cfg, task[1], 1) for world in found}
+    return {(world.sweep, world.value): build(world.env, task[1], 1) for world in found}
 
 
 def test_each_world_differs_in_the_property_of_its_name(changed):
@@ -209,30 +213,30 @@ def test_each_world_differs_in_the_property_of_its_name(changed):
 def test_a_change_can_delay_actions_and_readings_lose_readings_and_tilt_the_imu(task):
     options = read_section(Protocol, protocol("robust"), "protocol")
     assert options.robust is not None
-    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
-    dt = cfg["sim"]["dt"]
+    cfg = settings(task[0], options)
+    dt = cfg.sim.dt
 
     def of(name, value):
-        return world(cfg, options.robust, name, value).cfg
+        return world(cfg, options.robust, name, value).env
 
-    assert {tuple(node["delay"]) for node in of("delay_s", 3 * dt)["actions"].values()} == {(3, 3)}
-    late = of("reading_delay_s", dt)["observations"]["policy"]["terms"]
+    assert {tuple(node["delay"]) for node in of("delay_s", 3 * dt).actions.values()} == {(3, 3)}
+    late = of("reading_delay_s", dt).observations["policy"].terms
     assert {name for name, node in late.items() if node.get("delay") == [1, 1]} == set(options.robust.noise_std)
-    assert of("lost_readings", 0.2)["observations"]["policy"]["terms"]["base_ang_vel"]["noise"]["lost"] == 0.2
+    assert of("lost_readings", 0.2).observations["policy"].terms["base_ang_vel"]["noise"]["lost"] == 0.2
     data = build(of("imu_tilt", 0.05), task[1], 1).scene.robot.data
     assert data.imu_tilt[0, 0, 2].item() == pytest.approx(math.sin(0.05))
     kicked = world(cfg, options.robust, "kick", 0.3)
-    assert (kicked.kick, kicked.cfg) == (0.3, cfg)
+    assert (kicked.kick, kicked.env) == (0.3, cfg)
 
 
 def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
     """A floor with the acceleration A sin(2πt) has the speed A/π after half a second; a robot in the air does not."""
     options = read_section(Protocol, protocol("surfaces"), "protocol")
     assert options.robust is not None
-    changed = world(evaluation_cfg(task[0], options, 2, 1.0, "flat"), options.robust, "platform", 2.0)
-    changed.cfg["events"] = {}  # The task's random forces would move the robot, too.
+    changed = world(settings(task[0], options), options.robust, "platform", 2.0)
+    still = replace(changed.env, events={})  # The task's random forces would move the robot, too.
     table = in_changed_world(replace(options.robust, episodes=1))
-    rollout = Rollout(build(changed.cfg, task[1], 1), table, options)
+    rollout = Rollout(build(still, task[1], 1), table, options)
     env = rollout.env
     env.reset(1)
     robot, still = env.scene.robot, torch.zeros(2, 6)
@@ -255,7 +259,7 @@ def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task, robot):
         getting_up(replace(options.get_up, episodes=1)),
         compose(["task=stand", f"robot={robot}"]).config["env"],
     )
-    made = Rollout(build(evaluation_cfg(env, options, 1, 1.0, "flat"), task[1], 1), table, options)
+    made = Rollout(build(settings(env, options, 1), task[1], 1), table, options)
     drives = list(made.env.scene.robot.actuators.values())
     whole, ramp = [drive.damping.clone() for drive in drives], gain_ramp(made, 0.5)
     assert min(float(gain.min()) for gain in whole) > 0.0
@@ -283,19 +287,19 @@ def test_the_reference_holds_the_height_but_does_not_jump(task, skill):
 def test_a_payload_adds_to_the_mass_of_the_base(task):
     options = read_section(Protocol, protocol("surfaces"), "protocol")
     assert options.robust is not None
-    loaded = world(evaluation_cfg(task[0], options, 2, 1.0, "flat"), options.robust, "payload", 0.25)
-    masses = build(loaded.cfg, task[1], 1).scene.sim.expanded["body_mass"]
+    loaded = world(settings(task[0], options), options.robust, "payload", 0.25)
+    masses = build(loaded.env, task[1], 1).scene.sim.expanded["body_mass"]
     assert masses.sum(dim=1).tolist() == pytest.approx([0.75, 0.75], abs=0.031)  # the task's own range is ±0.03 kg
 
 
 def test_combined_changes_act_at_once(task):
     options = read_section(Protocol, protocol("robust"), "protocol")
     assert options.robust is not None
-    cfg = evaluation_cfg(task[0], options, 2, 1.0, "flat")
-    both = next(found for found in worlds(cfg, options.robust) if found.sweep == "combined").cfg
-    assert both["observations"]["policy"]["terms"]["base_ang_vel"]["noise"]["std"] == pytest.approx(0.2)
-    assert {tuple(node["delay"]) for node in both["actions"].values()} == {(4, 4)}
-    assert "evaluation_randomize_imu_errors" in both["events"]
+    cfg = settings(task[0], options)
+    both = next(found for found in worlds(cfg, options.robust) if found.sweep == "combined").env
+    assert both.observations["policy"].terms["base_ang_vel"]["noise"]["std"] == pytest.approx(0.2)
+    assert {tuple(node["delay"]) for node in both.actions.values()} == {(4, 4)}
+    assert "evaluation_randomize_imu_errors" in both.events
 
 
 @pytest.mark.parametrize(("limit", "expected"), [(0.3, 0.3), (2.0, 1.0), (0.0, 0.0)])
@@ -330,17 +334,17 @@ def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_includes_it
     env = compose(["task=stand", f"realism={variant}"]).config["env"]
     for realism, is_ideal in (("none", True), ("own", False)):
         options = read_section(Protocol, protocol("stand", f"protocol.realism={realism}"), "protocol")
-        cfg = evaluation_cfg(env, options, 2, 1.0, "flat")
-        assert ("realism" not in cfg, "imu_errors" not in cfg["events"]) == (is_ideal, is_ideal)
+        cfg = settings(env, options)
+        assert (cfg.realism == Realism(), "imu_errors" not in cfg.events) == (is_ideal, is_ideal)
 
 
 def test_events_within_an_episode_time_outs_rewards_and_curricula_are_gone_and_the_rest_stays(task):
     options = read_section(Protocol, protocol("stand"), "protocol")
-    cfg = evaluation_cfg(task[0], options, 7, 9.0, "flat")
-    assert "push_robot" not in cfg["events"]
-    assert {"physics_material", "reset_base"} <= set(cfg["events"])
-    assert (cfg["rewards"], cfg["curriculum"], cfg["num_envs"], cfg["episode_length_s"]) == ({}, {}, 7, 9.0)
+    cfg = settings(task[0], options, 7, 9.0)
+    assert "push_robot" not in cfg.events
+    assert {"physics_material", "reset_base"} <= set(cfg.events)
+    assert (cfg.rewards, cfg.curriculum, cfg.num_envs, cfg.episode_length_s) == ({}, {}, 7, 9.0)
     terminations = task[0]["terminations"]
     assert terminations["time_out"]["time_out"]
-    assert cfg["terminations"] == {name: node for name, node in terminations.items() if name != "time_out"}
+    assert cfg.terminations == {name: node for name, node in terminations.items() if name != "time_out"}
     assert "push_robot" in task[0]["events"]  # The task's config is unchanged.

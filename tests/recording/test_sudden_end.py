@@ -17,7 +17,7 @@ _SCRIPT = """
     from wheelleg_exp.env import ManagerBasedRLEnv
     from wheelleg_exp.jobs.rollout_files import EpisodeRecording
     from wheelleg_exp.jobs.train.training_recording import TrainingRecording
-    from wheelleg_exp.recording.recording_options import RecordingOptions
+    from wheelleg_exp.config.schema import RecordingOptions
     from wheelleg_exp.run.run_directory import RunDirectory
 
     mjcf, root = Path(sys.argv[1]), Path(sys.argv[2])

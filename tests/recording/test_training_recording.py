@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import torch
 
+from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.inspection.recording_summary import summarize
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.jobs.train.training_recording import TrainingRecording
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
-from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.recording.rrd_file import RrdFile
 from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.run.manifest import FORMAT

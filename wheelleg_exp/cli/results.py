@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate runs and write a table of the results; with ``--again``, reproduce an existing table of results."""
-    from wheelleg_exp.run.run_directory import NAME, NAME_WORDS
+    from wheelleg_exp.config.schema import NAME, NAME_WORDS
 
     if re.fullmatch(NAME, args.name) is None:
         raise WheellegError(f"{args.name!r} is not a valid name for a results page", key="NAME", expected=NAME_WORDS)

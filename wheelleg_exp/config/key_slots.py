@@ -17,9 +17,9 @@ from wheelleg_exp.config import schema
 from wheelleg_exp.config.explaining.key_documentation import FIELDS, KEYS, meaning_of, parameter_lines
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.options import PARAMETERS, agent_options
+from wheelleg_exp.rl.options import PARAMETERS
 from wheelleg_exp.terms import term_binding
-from wheelleg_exp.terms.config_sections import ObservationGroup, dataclass_in, keys_of
+from wheelleg_exp.terms.config_sections import dataclass_of, keys_of
 from wheelleg_exp.terms.config_values import options_in
 from wheelleg_exp.terms.key_syntax import Keys, dotted
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, RESERVED, TARGET, resolve_target, signature_parameters
@@ -65,7 +65,8 @@ class Slot:
 def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     """Return the type, default, and description of a config key; None if no code reads the key."""
     if not keys:
-        return Slot(_root(tree), reader=_name(_root(tree)))
+        root = schema.root_of(tree)
+        return Slot(root, reader=_name(root))
     named = slots(tree, keys[:-1])
     if named:
         node = section_at(tree, keys[:-1])
@@ -133,25 +134,10 @@ def target_of(node: Any) -> Callable[..., Any] | None:
 
 
 def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
-    path = ".".join(keys)
     if not keys:
-        return _root(tree)
-    if path in schema.OPTIONS and not (path == "recording" and "play" in tree):
-        return schema.options_of(path)
-    if path == "agent":
-        return agent_options(tree.get("agent"))
-    if len(keys) == 3 and keys[:2] == ("env", "observations"):
-        return ObservationGroup
+        return schema.root_of(tree)
     above = slot(tree, keys)
-    return None if above is None else dataclass_in(above.annotation)
-
-
-def _root(tree: Mapping[str, Any]) -> type:
-    if "pipeline" in tree:
-        return schema.PipelineRoot
-    if "protocol" in tree:
-        return schema.EvaluateRoot
-    return schema.PlayRoot if "play" in tree else schema.Root
+    return None if above is None else dataclass_of(above.annotation, section_at(tree, keys))
 
 
 def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:

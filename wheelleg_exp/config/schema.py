@@ -6,24 +6,24 @@ Each config section has a dataclass, whose field names are the keys of the secti
 
 from __future__ import annotations
 
-import typing
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Literal
+from typing import Annotated, Literal
 
-from wheelleg_exp.constraints import Natural, NonNegative, Positive, Seed
-from wheelleg_exp.terms.config_sections import Env, Section
+from wheelleg_exp.constraints import Count, Natural, NonNegative, Pattern, Positive, Seed
+from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.sim.options import EnvOptions
 
-# ``OPTIONS`` maps a config section to the dataclass whose fields are the section's keys, as a dotted name.
-OPTIONS: dict[str, str] = {
-    "env.sim": "wheelleg_exp.sim.options.SimOptions",
-    "env.scene": "wheelleg_exp.sim.options.SceneOptions",
-    "env.robot": "wheelleg_exp.sim.options.RobotOptions",
-    "pipeline": "wheelleg_exp.jobs.pipeline.pipeline_phases.Pipeline",
-    "recording": "wheelleg_exp.recording.recording_options.RecordingOptions",
-    "protocol": "wheelleg_exp.evaluation.protocol_options.Protocol",
-    "run": "wheelleg_exp.run.run_directory.RunOptions",
+# ``_ROOTS`` maps a top-level key to the dataclass of the config that has this key; other configs are an `Experiment`.
+_ROOTS = {
+    "pipeline": "wheelleg_exp.jobs.pipeline.pipeline_phases.PipelineRoot",
+    "protocol": "wheelleg_exp.evaluation.protocol_options.EvaluateRoot",
+    "play": "wheelleg_exp.config.schema.PlayRoot",
 }
+# The task name and ``run.name`` must match ``NAME``, because a run directory's path contains both.
+NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
+NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,54 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Root:
-    """The top of the tree."""
+class RecordingOptions:
+    """The config section ``recording``. Options with a default can be missing in the configs of old runs.
+
+    Attributes:
+        enabled: whether a recording is written.
+        env_ids: environments whose motion is recorded.
+        interval: iterations between the starts of two samples of whole episodes.
+        steps: control steps after which a sample ends with its current episode.
+        max_mb: largest size of the recorded motion, MB; scalars are not limited.
+        live: whether a viewer shows the run.
+        video_every: iterations between two videos of the first of ``env_ids``, each ``steps`` control steps long; 0
+            makes no videos.
+    """
+
+    enabled: bool
+    env_ids: list[Natural]
+    interval: Count
+    steps: Count
+    max_mb: NonNegative
+    live: bool
+    video_every: Natural = 0
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The config section ``run``: where a run is written, and how much of the source tree it stores.
+
+    Args:
+        root: folder of the run directories; a relative path starts at the working directory.
+        name: last part of the run directory's name; letters, digits, ``.``, ``_`` and ``-``.
+        max_patch_mb: largest source patch that is stored, in megabytes (10^6 bytes).
+    """
+
+    root: str = "runs"
+    name: Annotated[str, Pattern(NAME, NAME_WORDS)] | None = None
+    max_patch_mb: NonNegative = 50.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The composed config of a training."""
 
     seed: Seed
     task: Task
-    env: Env
-    agent: Section
-    recording: Section
-    run: Section
+    env: EnvOptions
+    agent: Learning
+    recording: RecordingOptions
+    run: RunOptions
     init_from: str | None = None
     init_from_what: Literal["networks", "policy", "learning"] = "networks"
     check: Check | None = None
@@ -92,25 +131,8 @@ class PlayRoot:
     play: Play
     drive: Drive
     recording: PlayRecording
-    env: Env
-    agent: Section
-
-
-@dataclass(frozen=True)
-class PipelineRoot:
-    """The top-level config keys of a training pipeline, whose phases ``wheelleg_exp.jobs.pipeline`` reads."""
-
-    pipeline: Section
-
-
-@dataclass(frozen=True)
-class EvaluateRoot:
-    """The top-level config keys of ``wheelleg evaluate``, which include ``env`` and ``agent`` of the evaluated run."""
-
-    seed: Seed
-    protocol: Section
-    env: Env
-    agent: Section
+    env: EnvOptions
+    agent: Learning
 
 
 # The config key `check.silence` can switch off each of these rules of `wheelleg check --physics`.
@@ -128,13 +150,11 @@ PHYSICS_RULES: tuple[str, ...] = (
 )  # fmt: skip
 
 
-def is_open(root: type, path: str) -> bool:
-    """Return whether ``OPTIONS``, instead of the dataclass ``root``, defines the keys of a config section."""
-    return "." in path or typing.get_type_hints(root).get(path) == Section
-
-
-def options_of(path: str) -> type:
-    """Return the dataclass that reads the config section at ``path``, which is a key of ``OPTIONS``."""
-    module, _, attribute = OPTIONS[path].rpartition(".")
-    found: type = getattr(import_module(module), attribute)
+def root_of(tree: Mapping[str, object]) -> type:
+    """Return the dataclass of a config's top-level keys, such as ``Experiment`` for the config of a training."""
+    dotted = next((dotted for key, dotted in _ROOTS.items() if key in tree), None)
+    if dotted is None:
+        return Experiment
+    module, _, name = dotted.rpartition(".")
+    found: type = getattr(import_module(module), name)
     return found

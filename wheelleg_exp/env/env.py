@@ -20,12 +20,12 @@ from wheelleg_exp.managers.non_finite import failures, note_observations, requir
 from wheelleg_exp.managers.observation_manager import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
-from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.sim.scene import RobotState
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
 from wheelleg_exp.state import cloned, on_device
-from wheelleg_exp.terms.config_sections import Dataset, Env, read_section, read_value
+from wheelleg_exp.terms.config_sections import plain_section
 
 # One environment needs at least 10,000 bytes of memory for its physics and observations.
 _BYTES_PER_ENV = 10_000
@@ -38,8 +38,8 @@ StepResult = tuple[Observations, torch.Tensor, torch.Tensor, torch.Tensor, dict[
 class ManagerBasedRLEnv(IsaacLabAttributes):
     """N parallel environments with nine managers, in the style of Isaac Lab's ``ManagerBasedRLEnv``.
 
-    ``cfg`` is the composed config section ``env``, ``mjcf`` is the robot's MJCF file, and ``seed`` seeds all random
-    streams. The decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with
+    ``cfg`` is the config section ``env``, as options or as a mapping, ``mjcf`` is the robot's MJCF file, and ``seed``
+    seeds all random streams. The decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with
     ``env.sim.graph_step``; see ``graph_capture``.
 
     Attributes:
@@ -52,24 +52,23 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     """
 
     outside_graphs = (
-        *("cfg", "extras", "observers", "curriculum_manager", "recorder_manager", "common_step_counter"),
+        *("cfg", "options", "extras", "observers", "curriculum_manager", "recorder_manager", "common_step_counter"),
         *("graph_capture", "reset_order", "_ended", "_attributes"),
     )
 
-    def __init__(self, cfg: Mapping[str, Any], mjcf: Path, seed: int) -> None:
-        cfg = with_realism(cfg)
-        self.cfg = Cfg(cfg)
+    def __init__(self, cfg: EnvOptions | Mapping[str, object], mjcf: Path, seed: int) -> None:
+        self.options = options = with_realism(read_env(cfg))
+        self.cfg = Cfg(plain_section(options))
         self.seed = seed
-        self.num_envs: int = read_value(Env, cfg, "env", "num_envs")
-        self.exact_envs, self.prompt_envs = without_errors(cfg)
+        self.num_envs = options.num_envs
+        self.exact_envs, self.prompt_envs = without_errors(options)
         require_memory(_BYTES_PER_ENV * self.num_envs, "env.num_envs", f"{self.num_envs:,} environments")
-        self.decimation: int = read_value(Env, cfg, "env", "decimation")
-        sim = read_value(Env, cfg, "env", "sim")
-        self.device = torch.device(read_value(SimOptions, sim, "env.sim", "device"))
+        self.decimation = options.decimation
+        self.device = torch.device(options.sim.device)
         require_device(self.device)
-        self.physics_dt = float(read_value(SimOptions, sim, "env.sim", "dt"))
+        self.physics_dt = float(options.sim.dt)
         self.step_dt = self.physics_dt * self.decimation
-        self.max_episode_length_s = float(read_value(Env, cfg, "env", "episode_length_s"))
+        self.max_episode_length_s = float(options.episode_length_s)
         # Round before ``ceil``, because an episode of 5 s with control steps of 2/120 s must have 300 steps, not 301.
         self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
         self.common_step_counter = 0
@@ -80,20 +79,19 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.autoreset: AutoresetMode = "same_step"
         self.observers: list[Callable[[], None]] = []
 
-        self.scene_manager = managers.SceneManager(cfg, mjcf, self.num_envs, self.streams.get)
+        self.scene_manager = managers.SceneManager(options, mjcf, self.num_envs, self.streams.get)
         self.scene = self.scene_manager.scene
-        self.event_manager = managers.EventManager(cfg.get("events"), self)
+        self.event_manager = managers.EventManager(options.events, self)
         self.event_manager.apply("prestartup")
         self.scene.play()
         self.event_manager.play()
-        self.command_manager = managers.CommandManager(cfg.get("commands"), self)
-        dataset = read_section(Dataset, cfg.get("dataset") or {}, "env.dataset")
-        self.recorder_manager = managers.RecorderManager(cfg.get("recorders"), dataset, self)
-        self.action_manager = managers.ActionManager(cfg.get("actions"), self)
-        self.observation_manager = managers.ObservationManager(read_value(Env, cfg, "env", "observations"), self)
-        self.termination_manager = managers.TerminationManager(cfg.get("terminations"), self)
-        self.reward_manager = managers.RewardManager(cfg.get("rewards"), self)
-        self.curriculum_manager = managers.CurriculumManager(cfg.get("curriculum"), self)
+        self.command_manager = managers.CommandManager(options.commands, self)
+        self.recorder_manager = managers.RecorderManager(options.recorders, options.dataset, self)
+        self.action_manager = managers.ActionManager(options.actions, self)
+        self.observation_manager = managers.ObservationManager(options.observations, self)
+        self.termination_manager = managers.TerminationManager(options.terminations, self)
+        self.reward_manager = managers.RewardManager(options.rewards, self)
+        self.curriculum_manager = managers.CurriculumManager(options.curriculum, self)
         self.event_manager.apply(
             "startup", with_errors=torch.arange(self.exact_envs, self.num_envs, device=self.device)
         )
@@ -108,7 +106,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
         # Keep this line last: checkpoints store every attribute that the environment gets after this line.
-        self._attributes = EnvAttributes(self, self.managers, cfg)
+        self._attributes = EnvAttributes(self, self.managers, self.cfg)
 
     @property
     def managers(self) -> dict[str, Any]:

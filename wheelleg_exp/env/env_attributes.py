@@ -14,7 +14,17 @@ from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, snapshot
 from wheelleg_exp.state.stateful import refusal
 
 # Manager terms do not set these attributes of the environment; the environment or its caller sets them.
-_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers", "cfg", "graph_capture")
+_OWN = (
+    "seed",
+    "common_step_counter",
+    "extras",
+    "keep_final_obs",
+    "autoreset",
+    "observers",
+    "cfg",
+    "options",
+    "graph_capture",
+)
 
 
 class EnvAttributes:

@@ -6,20 +6,20 @@ push of a fixed strength. The robustness test changes one property of the simula
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import torch
 
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Rollout, Tell
 from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Jump, Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
+from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
 
@@ -120,7 +120,7 @@ def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
 
 @dataclass(frozen=True)
 class World:
-    """A variant of the simulation in the robustness test, with its own config section ``env``.
+    """A variant of the simulation in the robustness test, with its own options of the environment.
 
     ``kick`` is the change of the robot's speed at the time ``KICK_S``, m/s: forwards in even episodes, backwards in odd
     ones. ``platform`` is the peak acceleration of a swinging floor, m/s².
@@ -128,66 +128,65 @@ class World:
 
     sweep: str
     value: float
-    cfg: dict[str, Any] = field(repr=False)
+    env: EnvOptions = field(repr=False)
     kick: float = 0.0
     platform: float = 0.0
 
 
-def worlds(cfg: Mapping[str, Any], options: Robust) -> Iterator[World]:
+def worlds(env: EnvOptions, options: Robust) -> Iterator[World]:
     """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
 
     Each variant changes one property by one value, except ``combined``, which makes several changes at once.
     """
-    yield World("nominal", 0.0, copy.deepcopy(dict(cfg)))
+    yield World("nominal", 0.0, env)
     for name in PROPERTIES:
         for value in getattr(options, name):
-            yield world(cfg, options, name, value)
+            yield world(env, options, name, value)
     if options.combined:
-        both = copy.deepcopy(dict(cfg))
+        both = env
         for name, value in options.combined.items():
             both = changed(both, options, name, value)
         yield World("combined", 1.0, both, *(options.combined.get(name, 0.0) for name in ("kick", "platform")))
 
 
-def world(cfg: Mapping[str, Any], options: Robust, name: str, value: float) -> World:
+def world(env: EnvOptions, options: Robust, name: str, value: float) -> World:
     """Return the simulation in which the property ``name``, such as ``friction``, has the given value."""
-    cfg = changed(copy.deepcopy(dict(cfg)), options, name, value)
     kick, platform = (value if name == moving else 0.0 for moving in ("kick", "platform"))
-    return World(name.removesuffix("_s"), value, cfg, kick, platform)
+    return World(name.removesuffix("_s"), value, changed(env, options, name, value), kick, platform)
 
 
-def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> dict[str, Any]:
-    """Return the config section ``env`` in which the property ``name`` has the given value.
+def changed(env: EnvOptions, options: Robust, name: str, value: float) -> EnvOptions:
+    """Return the options of the environment in which the property ``name`` has the given value.
 
-    Kicks and platforms do not change the config: ``disturbances`` simulates them.
+    Kicks and platforms do not change the options: ``disturbances`` simulates them.
     """
     pair, zero = [value, value], [0.0, 0.0]
     if name == "friction":
-        cfg["scene"]["terrain"] |= {"static_friction": value, "dynamic_friction": value}
-        cfg["robot"] = {**cfg["robot"], "friction_combine_mode": "average"}
+        env = on_ground(env, {**env.scene.terrain, "static_friction": value, "dynamic_friction": value})
+        env = replace(env, robot=replace(env.robot, friction_combine_mode="average"))
         ranges = {"static_friction_range": pair, "dynamic_friction_range": pair, "restitution_range": zero}
-        return _with_event(cfg, "rigid_body_material", ranges | {"num_buckets": 1})
+        return _with_event(env, "rigid_body_material", ranges | {"num_buckets": 1})
     if name == "mass":
-        return _with_event(cfg, "rigid_body_mass", {"mass_distribution_params": pair, "operation": "scale"})
+        return _with_event(env, "rigid_body_mass", {"mass_distribution_params": pair, "operation": "scale"})
     if name == "payload":
         added = {"mass_distribution_params": pair, "operation": "add"}
-        return _with_event(cfg, "rigid_body_mass", added, body_ids=[0])
+        return _with_event(env, "rigid_body_mass", added, body_ids=[0])
     if name == "com":
         shift = {"x": pair, "y": zero, "z": zero}
-        return _with_event(cfg, "rigid_body_com", {"com_range": shift}, body_ids=[0])
+        return _with_event(env, "rigid_body_com", {"com_range": shift}, body_ids=[0])
     if name == "gains":
         gains = {"stiffness_distribution_params": pair, "damping_distribution_params": pair, "operation": "scale"}
-        return _with_event(cfg, "actuator_gains", gains)
+        return _with_event(env, "actuator_gains", gains)
     if name in ("imu_tilt", "gyro_bias"):
         tilt = {"roll": zero, "pitch": pair if name == "imu_tilt" else zero, "yaw": zero}
         bias = pair if name == "gyro_bias" else zero
-        return _with_event(cfg, "imu_errors", {"tilt_range": tilt, "gyro_bias_range": bias})
+        return _with_event(env, "imu_errors", {"tilt_range": tilt, "gyro_bias_range": bias})
     if name == "encoder_offset":
-        return _with_event(cfg, "encoder_bias", {"bias_range": [-value, value]})
+        return _with_event(env, "encoder_bias", {"bias_range": [-value, value]})
     if name == "slope":
-        return _with_event(cfg, "floor_slope", {"slope_range": pair})
+        return _with_event(env, "floor_slope", {"slope_range": pair})
     if name == "delay_s":
-        return with_action_delay(cfg, ActionRealism(delay_s=(value, value)))
+        return with_action_delay(env, ActionRealism(delay_s=(value, value)))
     sizes, sensors = options.noise_std, dict[str, SensorRealism]()
     if name == "noise":
         sensors = {function: _noisy("GaussianNoise", std=value * std) for function, std in sizes.items()}
@@ -195,19 +194,24 @@ def changed(cfg: dict[str, Any], options: Robust, name: str, value: float) -> di
         sensors = dict.fromkeys(sizes, _noisy("SensorErrors", lost=value))
     if name == "reading_delay_s":
         sensors = dict.fromkeys(sizes, SensorRealism(delay_s=(value, value)))
-    return with_sensor_errors(cfg, sensors, list(cfg["observations"])) if sensors else cfg
+    return with_sensor_errors(env, sensors, list(env.observations)) if sensors else env
 
 
 def _noisy(model: str, **parameters: float) -> SensorRealism:
     return SensorRealism(noise={"_target_": f"wheelleg_exp.mdp.noise.{model}", **parameters})
 
 
-def _with_event(cfg: dict[str, Any], what: str, parameters: Mapping[str, Any], **bodies: Any) -> dict[str, Any]:
+def on_ground(env: EnvOptions, terrain: Node) -> EnvOptions:
+    """Return the options of the environment with another terrain."""
+    return replace(env, scene=replace(env.scene, terrain=terrain))
+
+
+def _with_event(env: EnvOptions, what: str, parameters: Mapping[str, object], **bodies: object) -> EnvOptions:
     """Add an event that randomises ``what`` once, after all other events; ``bodies`` selects some of the bodies."""
     asset = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", **bodies}
     target = f"wheelleg_exp.mdp.events.randomize_{what}"
     node = {"_target_": target, "mode": "startup", "asset_cfg": asset, **parameters}
-    return {**cfg, "events": {**cfg["events"], f"evaluation_randomize_{what}": node}}
+    return replace(env, events={**env.events, f"evaluation_randomize_{what}": node})
 
 
 def margin(survival: Callable[[float], float], highest: float, options: Robust, step: float = 0.0) -> float:

@@ -6,22 +6,22 @@ mirrored joints are identified by geometry, never by name.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_pushes, without_realism
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.evaluation.protocol_options import Ground, Protocol
 from wheelleg_exp.managers import Env
+from wheelleg_exp.sim.options import EnvOptions
 
 CONTACTS = "evaluation_contacts"
 _SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
@@ -29,56 +29,55 @@ _CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "tr
 _MOST_CONTACTS = 8  # A wheel on rough ground has at most 8 contacts.
 
 
-def evaluation_cfg(
-    env_cfg: Mapping[str, Any], protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
-) -> dict[str, Any]:
-    """Return a task's config section ``env`` with the changes that an evaluation needs.
+def evaluation_options(
+    env: EnvOptions, protocol: Protocol, num_envs: int, horizon_s: float, ground: Ground
+) -> EnvOptions:
+    """Return the options of a task's environment with the changes that an evaluation needs.
 
-    ``evaluation_cfg`` removes events within an episode, time-outs, rewards, curricula, and recorders.
-    ``evaluation_cfg`` keeps commands, failure terminations, observations with noise, and events at startup and reset.
-    ``ground`` selects flat ground or the task's own ground.
+    Events within an episode, time-outs, rewards, curricula, and recorders are removed. Commands, failure terminations,
+    observations with noise, and events at startup and reset remain. ``ground`` selects flat ground or the task's own
+    ground.
     """
-    cfg = copy.deepcopy(dict(env_cfg if protocol.realism == "own" else without_realism(env_cfg)))
-    if realism := cfg.get("realism"):  # Every robot of an evaluation has errors, and late actions.
-        actions = {**(realism.get("actions") or {}), "prompt_share": 0.0}
-        cfg["realism"] = {**realism, "exact_share": 0.0, "actions": actions}
-    commands = cfg["commands"]
-    if protocol.command not in commands:
-        expected = "one of " + (", ".join(commands) or "(there are none)")
-        message, nearest = f"the task has no command '{protocol.command}'", nearest_name(protocol.command, commands)
+    env = without_pushes(env if protocol.realism == "own" else without_realism(env))
+    if protocol.command not in env.commands:
+        expected = "one of " + (", ".join(env.commands) or "(there are none)")
+        message, nearest = f"the task has no command '{protocol.command}'", nearest_name(protocol.command, env.commands)
         raise ConfigError(message, key="protocol.command", expected=expected, nearest=nearest)
-    cfg["num_envs"], cfg["episode_length_s"] = num_envs, horizon_s
-    cfg = without_pushes(cfg)
-    # Remove the time-out term, because the evaluation protocol defines the episode length.
-    ends = {name: node for name, node in cfg["terminations"].items() if isinstance(node, Mapping)}
-    cfg["terminations"] = {name: node for name, node in ends.items() if not node.get("time_out")}
-    cfg |= {"rewards": {}, "curriculum": {}, "recorders": {}}
-    if ground == "flat":
-        cfg["scene"]["terrain"] = flat(cfg["scene"]["terrain"])
-    sensors = cfg["scene"].get("sensors") or {}
+    sensors = dict(env.scene.sensors)
     if contact_sensor(sensors) is None:
-        contacts = {**_CONTACTS, "force_threshold": protocol.contact_force, "max_contacts": _MOST_CONTACTS}
-        sensors = {**sensors, CONTACTS: contacts}
-    cfg["scene"]["sensors"] = sensors
-    return cfg
+        force = protocol.contact_force
+        sensors[CONTACTS] = {**_CONTACTS, "force_threshold": force, "max_contacts": _MOST_CONTACTS}
+    terrain = flat(env.scene.terrain) if ground == "flat" else env.scene.terrain
+    return replace(
+        env,
+        num_envs=num_envs,
+        episode_length_s=horizon_s,
+        scene=replace(env.scene, terrain=terrain, sensors=sensors),
+        # Every robot of an evaluation has errors, and late actions.
+        realism=replace(env.realism, exact_share=0.0, actions=replace(env.realism.actions, prompt_share=0.0)),
+        # Remove the time-out term, because the evaluation protocol defines the episode length.
+        terminations={name: node for name, node in env.terminations.items() if not node.get("time_out")},
+        rewards={},
+        curriculum={},
+        recorders={},
+    )
 
 
-def contact_sensor(sensors: Mapping[str, Any]) -> str | None:
+def contact_sensor(sensors: Mapping[str, Node | None]) -> str | None:
     """Return the name of a contact sensor on every body of the robot, or None if the scene has no such sensor."""
     wanted = {name: _CONTACTS[name] for name in ("_target_", "body_names")}
-    nodes = {name: node for name, node in sensors.items() if isinstance(node, Mapping)}
-    return next((name for name, node in nodes.items() if all(node.get(k) == v for k, v in wanted.items())), None)
+    return next((n for n, node in sensors.items() if node and all(node.get(k) == v for k, v in wanted.items())), None)
 
 
-def flat(terrain: Mapping[str, Any]) -> dict[str, Any]:
+def flat(terrain: Node) -> Node:
     """Return a terrain config of a plane that has the friction of the given terrain config."""
     friction = {name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")}
     return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
 
 
-def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
+def build(options: EnvOptions, mjcf: Path, seed: int) -> ManagerBasedRLEnv:
     """Build an environment without a reset at an episode's end. Raise ConfigError for a robot with a fixed base."""
-    env = ManagerBasedRLEnv(cfg, mjcf, seed)
+    env = ManagerBasedRLEnv(options, mjcf, seed)
     env.autoreset = "disabled"
     if not env.scene.robot.floating:
         message = "only robots with a floating base can be evaluated"
@@ -86,16 +85,17 @@ def build(cfg: Mapping[str, Any], mjcf: Path, seed: int) -> ManagerBasedRLEnv:
     return env
 
 
-def target_height(env_cfg: Mapping[str, Any], protocol: Protocol) -> float | None:
-    """Return the target height of the base, m: the protocol's, else that of the task's rewards, else None."""
-    height = rewarded_height(env_cfg) if protocol.target_height is None else protocol.target_height
-    return None if height is None else float(height)
+def target_height(env: EnvOptions, protocol: Protocol) -> float | None:
+    """Return the target height of the base, m: the protocol's, else that of the first reward with one, else None."""
+    heights = (node["target_height"] for node in target_heights(env).values())
+    found = protocol.target_height if protocol.target_height is not None else next(heights, None)
+    return None if found is None else float(found)
 
 
-def rewarded_height(env_cfg: Mapping[str, Any]) -> Any:
-    """Return the ``target_height`` of the first reward term with this parameter; None if no term has the parameter."""
-    nodes = (node for node in env_cfg["rewards"].values() if isinstance(node, Mapping))
-    return next((node["target_height"] for node in nodes if node.get("target_height") is not None), None)
+def target_heights(env: EnvOptions) -> dict[str, Node]:
+    """Return the parameter ``target_height`` of the reward terms that have it, by the name of the term."""
+    nodes = {name: node for name, node in env.rewards.items() if node.get("target_height") is not None}
+    return {name: {"target_height": node["target_height"]} for name, node in nodes.items()}
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ def parts_of(env: Env) -> RobotParts:
     wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.joint in names]
     legs = {*driven} - {wheel.joint for wheel in anatomy.wheels}
     pairs = [p for p in anatomy.mirrored if p.left != p.right and p.left in legs and p.right in driven]
-    contacts = contact_sensor(env.cfg["scene"]["sensors"])
-    assert contacts is not None  # ``evaluation_cfg`` added a contact sensor.
+    contacts = contact_sensor(env.options.scene.sensors)
+    assert contacts is not None  # ``evaluation_options`` added a contact sensor.
     bodies = env.scene[contacts].body_names
 
     def indices(found: list[int]) -> torch.Tensor:

@@ -227,13 +227,14 @@ def percentiles(drawn: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, Any]) -> list[Metric]:
+def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, object]) -> list[Metric]:
     """Return the metrics of a test, such as ``walk``, whose columns all exist; ``protocol`` sets tolerance bands."""
-    options = protocol.get(test) or {}
+    options = protocol.get(test)
+    settings = options if isinstance(options, Mapping) else {}
     if test == "walk":
-        found = _of_walking(columns, float(options.get("band", 0.1)))
+        found = _of_walking(columns, float(settings.get("band", 0.1)))
     elif test == "terrain":
-        found = _of_terrain(columns, float(options.get("pass_share", 0.9)))
+        found = _of_terrain(columns, float(settings.get("pass_share", 0.9)))
     else:
         found = _WITHOUT_OPTIONS[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]

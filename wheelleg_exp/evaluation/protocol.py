@@ -19,12 +19,13 @@ from wheelleg_exp.evaluation.disturbance_tests import (
     disturbances,
     gain_ramp,
     margin,
+    on_ground,
     push_columns,
     recovery,
     world,
     worlds,
 )
-from wheelleg_exp.evaluation.evaluation_env import build, evaluation_cfg, target_height
+from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, target_height
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
@@ -33,6 +34,7 @@ from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
 from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import Trajectories
+from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.terms.config_sections import read_section
 
 MakePolicy = Callable[[ManagerBasedRLEnv], Policy]
@@ -43,21 +45,21 @@ Tell = Callable[[str, int, int], None]
 class Subject:
     """The inputs of an evaluation: a policy, its task, the evaluation protocol, and the seed of the start states."""
 
-    env_cfg: Mapping[str, Any]
+    env: EnvOptions
     mjcf: Path
     make_policy: MakePolicy
     protocol: Protocol
     seed: int
     tell: Tell | None = None
 
-    def cfg(self, table: Scenarios) -> dict[str, Any]:
-        """Return the config section ``env`` with one environment for each episode of a table of test scenarios."""
+    def options(self, table: Scenarios) -> EnvOptions:
+        """Return the environment's options with one environment for each episode of a table of test scenarios."""
         protocol = self.protocol
-        return evaluation_cfg(self.env_cfg, protocol, table.size, table.horizon_s, protocol.ground)
+        return evaluation_options(self.env, protocol, table.size, table.horizon_s, protocol.ground)
 
-    def rollout(self, table: Scenarios, cfg: Mapping[str, Any]) -> Rollout:
+    def rollout(self, table: Scenarios, env: EnvOptions) -> Rollout:
         """Build an environment that simulates all episodes of a table of test scenarios in parallel."""
-        return Rollout(build(cfg, self.mjcf, self.seed), table, self.protocol)
+        return Rollout(build(env, self.mjcf, self.seed), table, self.protocol)
 
     def teller(self, test: str) -> RolloutTell | None:
         """Return the progress callback for one test of an evaluation protocol."""
@@ -67,27 +69,27 @@ class Subject:
     @property
     def target(self) -> float | None:
         """The target height of the robot's base, m."""
-        return target_height(self.env_cfg, self.protocol)
+        return target_height(self.env, self.protocol)
 
 
 def evaluate(
-    env_cfg: Mapping[str, Any],
+    env: EnvOptions | Mapping[str, object],
     mjcf: Path,
     make_policy: MakePolicy,
-    protocol: Mapping[str, Any],
+    protocol: Mapping[str, object],
     seed: int | None = None,
     tell: Tell | None = None,
 ) -> Evaluation:
     """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
-    ``env_cfg`` and ``protocol`` are config sections as dictionaries. ``make_policy`` takes an environment and returns a
+    ``env`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a
     policy, which maps observations by group to raw actions (N, A). Before each rollout, the policy's method ``reset``
     is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``tell`` is called
     with the name of a test, the number of finished control steps, and the number of all steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
-    subject = Subject(env_cfg, mjcf, make_policy, options, seed, tell)
+    subject = Subject(read_env(env), mjcf, make_policy, options, seed, tell)
     tables = _tables(options)
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}
@@ -102,21 +104,20 @@ def evaluate(
     return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
 
 
-def metric_names(env_cfg: Mapping[str, object], mjcf: Path, protocol: Mapping[str, object]) -> list[str]:
+def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, object]) -> list[str]:
     """Return the names of the metrics that ``evaluate`` would compute, from empty trajectories: nothing is simulated.
 
     Raise ConfigError if the task lacks something that a test needs, such as a command.
     """
     options, found = read_section(Protocol, protocol, "protocol"), list[str]()
-    subject = Subject(env_cfg, mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
+    subject = Subject(read_env(env), mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
     for table in _tables(options):
         rollout = _placed(subject, replace(table, episodes=1))
-        env = rollout.env
-        width = env.action_manager.total_action_dim
-        made = Trajectories.empty(rollout.steps, env.num_envs, rollout.parts, width, env)
+        width = rollout.env.action_manager.total_action_dim
+        made = Trajectories.empty(rollout.steps, rollout.env.num_envs, rollout.parts, width, rollout.env)
         columns = identity(rollout, made)
         if table.test == "robust" and options.robust is not None:
-            changed = list(worlds(subject.cfg(rollout.scenarios), options.robust))
+            changed = list(worlds(subject.options(rollout.scenarios), options.robust))
             columns |= _numbers(_world_columns(subject, rollout, made))
             columns |= dict.fromkeys(
                 ["world", *(f"margin_{name}" for name in options.robust.margins or {})], np.zeros(1)
@@ -175,29 +176,28 @@ def _run(subject: Subject, table: Scenarios) -> Part:
 
 
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
-    cfg, options = subject.cfg(table), subject.protocol
+    env, options = subject.options(table), subject.protocol
     if table.test == "terrain" and options.terrain is not None:
-        cfg["scene"]["terrain"] = terrain_tests.tiles(options.terrain, subject.seed)
-        rollout = subject.rollout(table, cfg)
+        rollout = subject.rollout(table, on_ground(env, terrain_tests.tiles(options.terrain, subject.seed)))
         terrain_tests.place_on_tiles(rollout, options.terrain)
         return rollout
     if table.test == "strip" and options.strip is not None:
-        cfg["scene"]["terrain"] = terrain_tests.strip_ground(options.strip, cfg["scene"]["terrain"], subject.seed)
-        rollout = subject.rollout(table, cfg)
+        ground = terrain_tests.strip_ground(options.strip, env.scene.terrain, subject.seed)
+        rollout = subject.rollout(table, on_ground(env, ground))
         terrain_tests.place_before_strip(rollout, options.strip)
         return rollout
     if table.test == "get_up" and options.get_up is not None:
         target = "wheelleg_exp.mdp.events.reset_to_resting_pose"
         lying = {"_target_": target, "mode": "reset", "by_side": True, "num_poses": options.get_up.num_poses}
-        cfg |= {"events": {**cfg["events"], "evaluation_lying": lying}, "terminations": {}}
-    return subject.rollout(table, cfg)
+        env = replace(env, events={**env.events, "evaluation_lying": lying}, terminations={})
+    return subject.rollout(table, env)
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     options = subject.protocol.robust
     assert options is not None
-    cfg, found, starts = subject.cfg(table), [], []
-    each, tell, margins = list(worlds(cfg, options)), subject.teller(table.test), options.margins or {}
+    env, found, starts = subject.options(table), list[dict[str, Array]](), list[str]()
+    each, tell, margins = list(worlds(env, options)), subject.teller(table.test), options.margins or {}
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
         columns = _world_columns(subject, rollout, made)
@@ -210,11 +210,11 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     for number, (name, highest) in enumerate(margins.items()):
 
         def survival(value: float, name: str = name) -> float:
-            _, made = _rolled(subject, table, world(cfg, options, name, value))
+            _, made = _rolled(subject, table, world(env, options, name, value))
             return 1.0 - float(made.fell.double().mean())
 
         # The margins are properties of the policy, so each episode of the unchanged simulation has the same value.
-        step = cfg["sim"]["dt"] if name.endswith("_s") else 0.0  # Delays are rounded to physics steps.
+        step = env.sim.dt if name.endswith("_s") else 0.0  # Delays are rounded to physics steps.
         found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options, step))
         if tell is not None:
             tell(len(each) + number + 1, len(each) + len(margins))
@@ -228,7 +228,7 @@ def _world_columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Co
 
 
 def _rolled(subject: Subject, table: Scenarios, changed: World) -> tuple[Rollout, Trajectories]:
-    rollout = subject.rollout(table, changed.cfg)
+    rollout = subject.rollout(table, changed.env)
     made = rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturbances(rollout, changed))
     return rollout, made
 
@@ -288,11 +288,10 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
 def about(rollout: Rollout) -> dict[str, Any]:
     """Return the facts of every result: the robot's profile and drives, the time steps, and the engine."""
     env, parts = rollout.env, rollout.parts
-    robot = env.cfg["robot"]
     armature, limits = env.scene.robot.data.joint_armature[0].tolist(), parts.effort_limit[0].tolist()
     names, promise = parts.joint_names, env.scene.sim.promise()
     return {
-        "profile": robot.get("profile"),
+        "profile": env.options.robot.profile,
         "armature_kg_m2": dict(zip(names, armature, strict=True)),
         "effort_limit_nm": dict(zip(names, limits, strict=True)),
         "wheels": [names[index] for index in parts.wheels.tolist()],

@@ -7,9 +7,21 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from wheelleg_exp.constraints import Broken, Count, Length, NonNegative, NotEmpty, Positive, Seed, Share, relation
+from wheelleg_exp.constraints import (
+    Broken,
+    Count,
+    Length,
+    NonNegative,
+    NotEmpty,
+    Parameters,
+    Positive,
+    Seed,
+    Share,
+    relation,
+)
 from wheelleg_exp.errors import nearest_name
-from wheelleg_exp.terms.config_sections import Section
+from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.terms.config_values import value_errors
 
 Ground = Literal["flat", "own"]
@@ -233,7 +245,7 @@ class Terrain:
     pass_share: Share
     size: Annotated[list[Positive], Length(2)]
     levels: Count
-    scene: Section
+    scene: Parameters
 
 
 def _room_behind(strip: Mapping[str, Any]) -> Iterator[Broken]:
@@ -419,3 +431,13 @@ class Protocol:
     terrain: Terrain | None = None
     strip: Strip | None = None
     robust: Robust | None = None
+
+
+@dataclass(frozen=True)
+class EvaluateRoot:
+    """The top-level config keys of ``wheelleg evaluate``, which include ``env`` and ``agent`` of the evaluated run."""
+
+    seed: Seed
+    protocol: Protocol
+    env: EnvOptions
+    agent: Learning

@@ -8,11 +8,11 @@ the motion of each robot before, on, and behind the rough ground.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
@@ -22,7 +22,7 @@ from wheelleg_exp.sim.terrain.terrain_generator import ORIGIN_WINDOW
 _BORDER = 2.0  # level ground, m
 
 
-def tiles(options: Terrain, seed: int) -> dict[str, Any]:
+def tiles(options: Terrain, seed: int) -> Node:
     """Return a terrain config with one column per kind of terrain tile and one row per difficulty level."""
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
@@ -83,7 +83,7 @@ def along_heading(made: Trajectories) -> torch.Tensor:
 _STRIP_ROOM = 1.0  # level ground, m
 
 
-def strip_ground(options: Strip, terrain: Mapping[str, Any], seed: int) -> dict[str, Any]:
+def strip_ground(options: Strip, terrain: Node, seed: int) -> Node:
     """Return a terrain config with one column per strip of rough ground, one row, and a border of level ground.
 
     The ground has the friction of ``terrain``, the terrain config of the task.

@@ -20,13 +20,12 @@ from tensordict import TensorDict
 
 from wheelleg_exp.asset.conversion_cache import source_digest
 from wheelleg_exp.build import with_robot_file
-from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.evaluation.evaluation_env import evaluation_cfg, rewarded_height
+from wheelleg_exp.evaluation.evaluation_env import evaluation_options, target_heights
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.method_comparison import (
     Difference,
@@ -40,7 +39,7 @@ from wheelleg_exp.evaluation.method_comparison import (
     verdict,
 )
 from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
-from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.evaluation.protocol_options import EvaluateRoot, Protocol
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
 from wheelleg_exp.files import for_people, write_json, write_text
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
@@ -51,7 +50,8 @@ from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.terms.config_sections import read_section
+from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.user_exceptions import ending_as
 
 _ALTERNATIVES = {
@@ -79,7 +79,7 @@ def evaluation_settings(
     recorded = {"env": on_reference_engine(upgrade_env_params(env)), "agent": agent}
     tree = {**apply_overrides(recorded, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
     with composed.placing(), placing(others):
-        if errors := check_tree(tree, schema.EvaluateRoot):
+        if errors := check_tree(tree, EvaluateRoot):
             raise_all(errors)
         require_same_robot(recorded, tree, "a policy is evaluated on the robot that it was trained on")
         protocol = read_section(Protocol, tree["protocol"], "protocol")
@@ -94,11 +94,12 @@ def evaluation_settings(
 
 
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
-    """Return the settings that an evaluation uses from the config sections ``env`` and ``agent``."""
-    env = tree["env"]
-    height = rewarded_height(env) if protocol.target_height is None else None
+    """Return the parts of the config sections ``env`` and ``agent`` that an evaluation uses."""
+    env = read_env(tree["env"])
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
-    return evaluation_cfg(env, protocol, 1, 1.0, protocol.ground), height, agent
+    used = plain_section(evaluation_options(env, protocol, 0, 0.0, protocol.ground))
+    rewards = {} if protocol.target_height is not None else target_heights(env)
+    return {"env": {**used, "rewards": rewards}, "agent": agent}
 
 
 def run_overrides(overrides: Sequence[str]) -> list[str]:

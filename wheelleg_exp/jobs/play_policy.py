@@ -41,6 +41,8 @@ from wheelleg_exp.rl.rollout_log import FailureCount
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.terms.config_sections import plain_section
 from wheelleg_exp.user_exceptions import ending_as
 
 Tree = dict[str, Any]
@@ -116,7 +118,9 @@ def _settings_read(tree: Mapping[str, Any]) -> Any:
 
 
 def _in_conditions(tree: Mapping[str, Any]) -> Tree:
-    return {**tree, "env": without_disturbances(tree["env"])} if tree["play"]["conditions"] != "training" else {**tree}
+    if tree["play"]["conditions"] == "training":
+        return {**tree}
+    return {**tree, "env": plain_section(without_disturbances(read_env(tree["env"])))}
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class EventManager(ManagerBase):
         self._last_step: dict[str, torch.Tensor] = {}
         self._fired_once: dict[str, torch.Tensor] = {}
         self.fired: dict[str, torch.Tensor] = {}
-        self._realistic = {*env.cfg.realism.events} if env.exact_envs else set()
+        self._realistic = {*env.options.realism.events} if env.exact_envs else set()
         self._asked: dict[str, set[str]] = {name: set() for name in self._terms}
         for name, term in self._terms.items():
             mode = term.fields["mode"]

@@ -16,7 +16,6 @@ from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.state import Kept, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
-from wheelleg_exp.terms.config_sections import read_section
 
 _SLICE = 100  # bytes per slice object
 
@@ -24,14 +23,13 @@ _SLICE = 100  # bytes per slice object
 class ObservationManager(Kept):
     """Groups of observation terms. ``obs_buf`` contains the observations that ``compute`` returned last, by group."""
 
-    def __init__(self, nodes: Mapping[str, Any], env: Env) -> None:
+    def __init__(self, groups: Mapping[str, GroupOptions], env: Env) -> None:
         self._groups: dict[str, dict[str, ObservationTerm]] = {}
         self._layouts: dict[str, GroupLayout] = {}
         self._rows: dict[str, RowHistory] = {}
         self._prefixes: dict[str, str] = {}
-        for group, node in nodes.items():
-            if node is not None:
-                self._add_group(group, node, env)
+        for group, options in groups.items():
+            self._add_group(group, options, env)
         self._late = [t for terms in self._groups.values() for t in terms.values() if t.delay is not None]
         self.obs_buf: dict[str, Group] = {}
         self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
@@ -176,9 +174,8 @@ class ObservationManager(Kept):
         self._is_first.copy_(saved["is_first"])
         self._any_first = bool(self._is_first.any())
 
-    def _add_group(self, group: str, node: Mapping[str, Any], env: Env) -> None:
+    def _add_group(self, group: str, options: GroupOptions, env: Env) -> None:
         path = f"env.observations.{group}"
-        options = read_section(GroupOptions, node, path)
         terms = bind_terms("observations", f"{path}.terms", options.terms, env)
         if not terms:
             raise ConfigError("the observation group has no terms", key=f"{path}.terms", expected="at least one term")

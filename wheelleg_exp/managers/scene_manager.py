@@ -4,38 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import torch
 
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.manager_base import build, table
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.actuators import ActuatorBase
-from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
+from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.sim.sensors import SensorBase
 from wheelleg_exp.sim.terrain import TerrainBase
-from wheelleg_exp.terms.config_sections import read_section
+
+_Part = TypeVar("_Part")
 
 
 class SceneManager:
-    """The scene, built from the composed ``env`` section and the robot's MJCF file.
+    """The scene, built from an environment's options and the robot's MJCF file.
 
     ``stream(key)`` returns the random generator for a config key. Without ``stream``, the scene's random generators
     start from the seed 0.
     """
 
     def __init__(
-        self, cfg: Mapping[str, Any], mjcf: Path, num_envs: int, stream: Callable[[str], torch.Generator] | None = None
+        self,
+        env: EnvOptions | Mapping[str, object],
+        mjcf: Path,
+        num_envs: int,
+        stream: Callable[[str], torch.Generator] | None = None,
     ) -> None:
-        sim = read_section(SimOptions, cfg["sim"], "env.sim")
-        scene = read_section(SceneOptions, cfg["scene"], "env.scene")
-        robot = read_section(RobotOptions, cfg["robot"], "env.robot")
+        env = read_env(env)
+        scene, robot = env.scene, env.robot
         actuators = _built(robot.actuators, "env.robot.actuators", ActuatorBase)
         sensors = _built(scene.sensors, "env.scene.sensors", SensorBase)
         terrain = _built({"terrain": scene.terrain}, "env.scene", TerrainBase)["terrain"]
-        self.scene = Scene(mjcf, num_envs, sim, scene, terrain, robot, actuators, sensors, stream or Streams(0).get)
+        self.scene = Scene(mjcf, num_envs, env.sim, scene, terrain, robot, actuators, sensors, stream or Streams(0).get)
 
     def __str__(self) -> str:
         robot, rows = self.scene.robot, []
@@ -50,10 +55,14 @@ class SceneManager:
         return f"{joints}\n{sensors}"
 
 
-def _built(nodes: Mapping[str, Any], path: str, kind: type) -> dict[str, Any]:
-    built = {name: build(node, f"{path}.{name}") for name, node in nodes.items() if node is not None}
-    for name, value in built.items():
+def _built(nodes: Mapping[str, Node | None], path: str, kind: type[_Part]) -> dict[str, _Part]:
+    built: dict[str, _Part] = {}
+    for name, node in nodes.items():
+        if node is None:
+            continue
+        value = build(node, f"{path}.{name}")
         if not isinstance(value, kind):
             message = f"'{type(value).__name__}' is not a {kind.__name__}"
             raise ConfigError(message, key=f"{path}.{name}", expected=f"a _target_ of {kind.__name__}")
+        built[name] = value
     return built

@@ -11,6 +11,7 @@ import torch
 from wheelleg_exp.constraints import Interval, Names
 from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.managers.streams import Streams
+from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.terms.config_values import require_fit
 
@@ -29,7 +30,8 @@ class Env(Protocol):
     """The environment, with the attributes that manager terms can use.
 
     Attributes:
-        cfg: the composed ``env`` section, by attribute or key.
+        cfg: the config section ``env``, by attribute or key.
+        options: the config section ``env``, with a type for each key.
         num_envs: number of environments, N.
         exact_envs: the environments 0 to ``exact_envs`` - 1 have none of the errors of ``env.realism``.
         prompt_envs: the environments 0 to ``prompt_envs`` - 1 have no delay of the actions.
@@ -43,6 +45,7 @@ class Env(Protocol):
     """
 
     cfg: Any
+    options: EnvOptions
     num_envs: int
     exact_envs: int
     prompt_envs: int

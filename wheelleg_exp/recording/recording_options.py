@@ -1,34 +1,6 @@
-"""Define the config section ``recording``, and choose the episodes of a training that are recorded."""
+"""Choose the episodes of a training that are recorded."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-
-from wheelleg_exp.constraints import Count, Natural, NonNegative
-
-
-@dataclass(frozen=True)
-class RecordingOptions:
-    """The config section ``recording``. Options with a default can be missing in the configs of old runs.
-
-    Attributes:
-        enabled: whether a recording is written.
-        env_ids: environments whose motion is recorded.
-        interval: iterations between the starts of two samples of whole episodes.
-        steps: control steps after which a sample ends with its current episode.
-        max_mb: largest size of the recorded motion, MB; scalars are not limited.
-        live: whether a viewer shows the run.
-        video_every: iterations between two videos of the first of ``env_ids``, each ``steps`` control steps long; 0
-            makes no videos.
-    """
-
-    enabled: bool
-    env_ids: list[Natural]
-    interval: Count
-    steps: Count
-    max_mb: NonNegative
-    live: bool
-    video_every: Natural = 0
 
 
 class Sample:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from wheelleg_exp import constraints
-from wheelleg_exp.constraints import Count, Natural, NonNegative, NotEmpty, Positive, Rising
+from wheelleg_exp.constraints import Count, Natural, NonNegative, NotEmpty, Parameters, Positive, Rising
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms.config_sections import Section, section_errors
+from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import value_errors
 from wheelleg_exp.terms.key_syntax import below
 
@@ -50,7 +50,7 @@ class Learning:
             updates change a policy's current weights, not the averaged weights.
     """
 
-    algorithm: Section
+    algorithm: Parameters
     num_steps_per_env: Count
     max_iterations: Count
     save_interval: Count
@@ -65,13 +65,20 @@ class Learning:
     graph_update: bool = False
     average_iterations: Natural = 0
 
+    @staticmethod
+    def of_section(agent: Mapping[str, object]) -> type[Learning]:
+        """Return the dataclass of the config section ``agent``, which depends on the class of the rsl_rl algorithm."""
+        algorithm = agent.get("algorithm")
+        name = str(algorithm.get("class_name")) if isinstance(algorithm, Mapping) else ""
+        return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
+
 
 @dataclass(frozen=True, kw_only=True)
 class Agent(Learning):
     """``agent`` of reinforcement learning: an actor and its critic."""
 
-    actor: Section
-    critic: Section
+    actor: Parameters
+    critic: Parameters
     symmetry: SymmetryOptions | None = None
 
 
@@ -84,16 +91,9 @@ class DistillationAgent(Learning):
             checkpoint it is. The run keeps a copy.
     """
 
-    student: Section
-    teacher: Section
+    student: Parameters
+    teacher: Parameters
     teacher_checkpoint: Annotated[str, NotEmpty()]
-
-
-def agent_options(agent: Any) -> type:
-    """Return the dataclass of the config section ``agent``, which depends on the class of the rsl_rl algorithm."""
-    algorithm = agent.get("algorithm") if isinstance(agent, Mapping) else None
-    name = str(algorithm.get("class_name")) if isinstance(algorithm, Mapping) else ""
-    return DistillationAgent if re.split("[.:]", name)[-1] == "Distillation" else Agent
 
 
 # rsl_rl accepts invalid values, so each key in ``PARAMETERS`` is checked wherever it occurs in the section `agent`.
@@ -127,7 +127,7 @@ PARAMETERS: dict[str, Any] = {
 
 def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
     """Raise ConfigError for the first invalid value in the config section ``agent``."""
-    errors = [*section_errors("agent", agent, agent_options(agent)), *parameter_errors(agent)]
+    errors = [*section_errors("agent", agent, Learning.of_section(agent)), *parameter_errors(agent)]
     for error in errors or batch_errors(agent, num_envs):
         raise error
 

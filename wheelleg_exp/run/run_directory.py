@@ -10,35 +10,14 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
 
-from wheelleg_exp.constraints import NonNegative, Pattern
+from wheelleg_exp.config.schema import NAME, NAME_WORDS
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.files import for_people, read_json
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
 from wheelleg_exp.run.stock_policies import FOLDER, PREFIX, stock_names, stock_run
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
-
-# The task name and ``run.name`` must match ``NAME``, because a run directory's path contains both.
-NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
-NAME_WORDS = "up to 100 letters, digits, '.', '_' and '-', starting with a letter or digit"
-
-
-@dataclass
-class RunOptions:
-    """The config section ``run``: where a run is written, and how much of the source tree it stores.
-
-    Args:
-        root: folder of the run directories; a relative path starts at the working directory.
-        name: last part of the run directory's name; letters, digits, ``.``, ``_`` and ``-``.
-        max_patch_mb: largest source patch that is stored, in megabytes (10^6 bytes).
-    """
-
-    root: str = "runs"
-    name: Annotated[str, Pattern(NAME, NAME_WORDS)] | None = None
-    max_patch_mb: NonNegative = 50.0
-
 
 PIPELINE_NAME = "pipeline.json"
 

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.config.schema import RunOptions
 from wheelleg_exp.files import write_text
 from wheelleg_exp.run.environment import environment_text, requested_variables, variables
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import require_resolved, write_params
-from wheelleg_exp.run.run_directory import RunDirectory, RunOptions
+from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_snapshot import snapshot_source
 
 _SUMMARY = ("status", "exact", "root", "commit", "branch", "tree", "dirty", "note")

@@ -1,18 +1,21 @@
-"""The dataclasses of the options in the config sections ``env.sim``, ``env.scene`` and ``env.robot``.
+"""The dataclasses of the config section ``env``, and of its sections ``env.sim``, ``env.scene`` and ``env.robot``.
 
 Almost none has a default: the config states every number.
 """
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
 from wheelleg_exp import constraints
-from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAllZero, relation
+from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAllZero, Positive, Terms, relation
+from wheelleg_exp.terms.config_sections import Dataset, ObservationGroup, Realism, read_section
+from wheelleg_exp.terms.term_binding import drop_removed
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -157,3 +160,35 @@ class RobotOptions:
     self_collisions: bool | None = None
     root_frame: Annotated[Sequence[float], Length(4), NotAllZero()] | None = None
     friction_combine_mode: CombineMode = "average"
+
+
+@dataclass(frozen=True)
+class EnvOptions:
+    """``env``: number of environments, episode length, decimation, and all parts of the environment."""
+
+    num_envs: Count
+    episode_length_s: Positive
+    decimation: Annotated[int, constraints.AtLeast(1), constraints.AtMost(10_000)]
+    sim: SimOptions
+    scene: SceneOptions
+    robot: RobotOptions
+    commands: Terms
+    actions: Terms
+    observations: dict[str, ObservationGroup]
+    events: Terms
+    rewards: Terms
+    terminations: Terms
+    curriculum: Terms
+    realism: Realism = field(default_factory=Realism)
+    recorders: Terms = field(default_factory=dict)
+    dataset: Dataset = field(default_factory=Dataset)
+    is_finite_horizon: bool = False
+
+
+def read_env(cfg: EnvOptions | Mapping[str, object]) -> EnvOptions:
+    """Return the config section ``env`` as options, without terms that are null; a missing section has no terms."""
+    if isinstance(cfg, EnvOptions):
+        return cfg
+    tree = {"env": copy.deepcopy(dict(cfg))}
+    drop_removed(tree)
+    return read_section(EnvOptions, tree["env"], "env")

@@ -6,19 +6,15 @@ import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from wheelleg_exp import constraints
-from wheelleg_exp.constraints import Count, Natural, Node, NonNegative, NonNegativeInterval, Positive, Share, rules_of
+from wheelleg_exp.constraints import Natural, Node, NonNegative, NonNegativeInterval, Share, Terms, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.config_values import describe, options_in, value_errors
 from wheelleg_exp.terms.key_syntax import below
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-
-Section = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -93,33 +89,10 @@ class Realism:
 
 
 @dataclass(frozen=True)
-class Env:
-    """``env``: number of environments, episode length, decimation, and the sections of other dataclasses."""
-
-    num_envs: Count
-    episode_length_s: Positive
-    decimation: Annotated[int, constraints.AtLeast(1), constraints.AtMost(10_000)]
-    sim: Section
-    scene: Section
-    robot: Section
-    commands: Section
-    actions: Section
-    observations: Section
-    events: Section
-    rewards: Section
-    terminations: Section
-    curriculum: Section
-    realism: Realism = Realism()
-    recorders: Section = field(default_factory=dict)
-    dataset: Dataset = Dataset()
-    is_finite_horizon: bool = False
-
-
-@dataclass(frozen=True)
 class ObservationGroup:
     """``env.observations.<group>``."""
 
-    terms: Section
+    terms: Terms
     concatenate_terms: bool = True
     enable_corruption: bool = False
     history_length: Natural | None = None
@@ -173,12 +146,19 @@ def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[Co
 
 
 def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
-    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
-    if nested is not None and isinstance(value, Mapping):
+    if isinstance(value, Mapping) and (nested := dataclass_of(annotation, value)) is not None:
         return section_errors(key, value, nested)
+    named = _dataclass_of_values(annotation)
     if named is not None and isinstance(value, Mapping):
         return [e for name, node in value.items() for e in _value_errors(below(key, str(name)), node, named)]
     return value_errors(key, value, annotation)
+
+
+def dataclass_of(annotation: Any, node: Mapping[str, object]) -> Any | None:
+    """Return the dataclass of the config section ``node``, which a type annotation names; None without a dataclass."""
+    found = dataclass_in(annotation)
+    choose = getattr(found, "of_section", None)  # The algorithm in `agent` decides which keys `agent` has.
+    return found if choose is None else choose(node)
 
 
 def _dataclass_of_values(annotation: Any) -> Any | None:
@@ -192,30 +172,32 @@ def dataclass_in(annotation: Any) -> type | None:
     return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
 
 
-def read_section(options: type[_Options], node: Any, path: str) -> _Options:
+def read_section(options: type[_Options], node: object, path: str) -> _Options:
     """Return a config section as an instance of its dataclass; raise ConfigError at the first mistake."""
     if not isinstance(node, Mapping):
         raise MissingValue(key=path, expected="a mapping")
     for error in section_errors(path, node, options):
         raise error
+    return _instance(options, node)
+
+
+def _instance(options: type[_Options], node: Mapping[str, object]) -> _Options:
     keys = keys_of(options)
-    return options(**{n: _read_value(v, below(path, str(n)), keys[n].annotation) for n, v in node.items()})
+    return options(**{name: _read_value(value, keys[name].annotation) for name, value in node.items()})
 
 
-def _read_value(value: Any, path: str, annotation: Any) -> Any:
-    nested, named = dataclass_in(annotation), _dataclass_of_values(annotation)
+def _read_value(value: object, annotation: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
-    if nested is not None:
-        return read_section(nested, value, path)
-    if named is not None:
-        return {name: _read_value(node, below(path, str(name)), named) for name, node in value.items()}
+    if (nested := dataclass_of(annotation, value)) is not None:
+        return _instance(nested, value)
+    if (named := _dataclass_of_values(annotation)) is not None:
+        return {name: _read_value(node, named) for name, node in value.items()}
     return value
 
 
-def read_value(options: type, node: Any, path: str, name: str) -> Any:
-    """Return the value of the key ``name`` in a config section, and ignore errors in all other keys."""
-    for error in section_errors(path, node, options):
-        if error.key == below(path, name):
-            raise error
-    return node[name]
+def plain_section(options: object) -> Any:
+    """Return an instance of a section's dataclass as the plain config section, with the keys that have defaults."""
+    if dataclasses.is_dataclass(options):
+        return {f.name: plain_section(getattr(options, f.name)) for f in dataclasses.fields(options)}
+    return {k: plain_section(v) for k, v in options.items()} if isinstance(options, Mapping) else options

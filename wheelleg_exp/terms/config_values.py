@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.constraints import Constraint, MayBeInfinite
+from wheelleg_exp.constraints import Constraint, MayBeInfinite, OfNodes
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.terms.key_syntax import below
 
@@ -133,8 +133,9 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 
 
 def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
-    open_ended = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
-    found = [] if open_ended else misfits(value, inner)
+    is_infinite = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
+    has_nodes = any(isinstance(c, OfNodes) for c in constraints) and isinstance(value, Mapping)
+    found = [] if is_infinite or has_nodes else misfits(value, inner)
     if found:  # Name the constraint in the error, too: 'a number, at least 0' instead of 'a number'.
         whole, part = describe(annotation), describe(inner)
         return [
@@ -212,7 +213,7 @@ def type_words(annotation: Any) -> str:
     if kind is tuple or kind in _SEQUENCES:
         return f"a list, each {describe(arguments[0])}" if arguments else "a list"
     if kind in _MAPPINGS or dataclasses.is_dataclass(kind):
-        plain = len(arguments) != 2 or arguments[1] is Any
+        plain = len(arguments) != 2 or arguments[1] is Any or dataclasses.is_dataclass(arguments[1])
         return "a mapping" if plain else f"a mapping, each value {describe(arguments[1])}"
     return getattr(annotation, "__name__", str(annotation))
 

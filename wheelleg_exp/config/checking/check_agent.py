@@ -9,12 +9,10 @@ from typing import Any
 
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.config.tree_lookup import section_at
-from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, nearest_name, not_one_of
-from wheelleg_exp.rl.options import PARAMETERS, agent_options, batch_errors, parameter_errors
+from wheelleg_exp.rl.options import PARAMETERS, parameter_errors
 from wheelleg_exp.terms import term_binding
-from wheelleg_exp.terms.config_sections import section_errors
-from wheelleg_exp.terms.config_values import fits, value_errors
+from wheelleg_exp.terms.config_values import value_errors
 from wheelleg_exp.terms.term_binding import resolve_class, walk_nodes
 
 # The values of ``class_name`` and ``data_augmentation_func`` name classes and functions that rsl_rl imports.
@@ -26,13 +24,13 @@ _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
 _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
-def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[ConfigError]:
+def check_agent(agent: Any, groups: Collection[str]) -> list[ConfigError]:
     """Return the mistakes in the config section ``agent``; ``groups`` contains the names of the observation groups."""
     from wheelleg_exp.rl import mirror_rules
 
     if not isinstance(agent, Mapping):
         return []
-    errors = [*section_errors("agent", agent, agent_options(agent)), *parameter_errors(agent)]
+    errors = list(parameter_errors(agent))
     for path, node in walk_nodes(agent, "agent"):
         for key in _CLASS_KEYS:
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
@@ -43,8 +41,6 @@ def check_agent(agent: Any, groups: Collection[str], num_envs: Any) -> list[Conf
             errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
     for section in ("algorithm", "actor", "critic", "student", "teacher"):
         errors += _check_constructor(f"agent.{section}", agent.get(section))
-    if not errors and fits(num_envs, Count):
-        errors += batch_errors(agent, num_envs)
     return errors
 
 

@@ -28,10 +28,12 @@ from wheelleg_exp.config.composing.config_loader import Loader, Repository, pack
 from wheelleg_exp.config.composing.hydra_errors import DoesNotMerge, NowhereMounted
 from wheelleg_exp.config.config_errors import AbsentKey, UnknownName, override_of, parts, raise_all
 from wheelleg_exp.config.tree_lookup import at, section_at
+from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
-from wheelleg_exp.terms.config_sections import ObservationGroup, Section, section_errors
-from wheelleg_exp.terms.config_values import fits, value_errors
+from wheelleg_exp.rl.options import batch_errors
+from wheelleg_exp.terms.config_sections import section_errors
+from wheelleg_exp.terms.config_values import fits
 from wheelleg_exp.terms.key_syntax import dotted, split_path
 from wheelleg_exp.terms.term_binding import NotAllowed
 
@@ -110,7 +112,7 @@ def check(composed: Composed) -> list[ConfigError]:
     errors = [*lists.check_term_files(files), *lists.check_targets_of_files(config, files)]
     errors += lists.check_group_lists(composed, files)
     hidden = {str(error.key) for error in errors}
-    found = check_tree(config, schema.Root)
+    found = check_tree(config, schema.Experiment)
     found += list(lists.check_order(composed, files)) or lists.check_overwritten(composed)
     found += [*lists.check_listed_twice(files, composed), *lists.check_merged_mappings(composed, files)]
     found += lists.unread_in_files(files, composed.primary)
@@ -184,12 +186,9 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
 
 def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
-    errors = section_errors("", config, root)
-    for path in schema.OPTIONS:
-        node = at(config, path)
-        if isinstance(node, Mapping) and schema.is_open(root, path):
-            errors += section_errors(path, node, schema.options_of(path))
-    errors += _check_observation_groups(config)
+    unmounted = {str(error.key): error for error in _groups_without_terms(config)}
+    errors = [e for e in section_errors("", config, root) if str(e.key).rpartition(".")[0] not in unmounted]
+    errors += unmounted.values()
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)
     errors += [*check_terms.check_links(config), *check_terms.check_realism(config)]
@@ -203,7 +202,10 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
     errors += check_terms.check_drawn(config)
-    return errors + check_agent(config.get("agent"), groups, num_envs)
+    errors += check_agent(config.get("agent"), groups)
+    if fits(num_envs, Count) and not any(f"{error.key}.".startswith("agent.") for error in errors):
+        errors += batch_errors(config["agent"], num_envs)
+    return errors
 
 
 def require_valid(composed: Composed) -> None:
@@ -213,18 +215,15 @@ def require_valid(composed: Composed) -> None:
         raise_all(errors)
 
 
-def _check_observation_groups(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def _groups_without_terms(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+    """Yield an error for each observation group that has settings, no terms, and a name similar to another group's."""
     groups = section_at(config, "env.observations")
+    with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]
     for name, group in groups.items():
-        path = f"env.observations.{name}"
-        with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]
         if isinstance(group, Mapping) and "terms" not in group and (near := nearest_name(str(name), with_terms)):
+            key, expected = f"env.observations.{name}", "settings for " + ", ".join(groups)
             message = "there are settings for this group, and no terms are mounted in it"
-            yield ConfigError(message, key=path, expected="settings for " + ", ".join(groups), nearest=near)
-        elif isinstance(group, Mapping):
-            yield from section_errors(path, group, ObservationGroup)
-        else:
-            yield from value_errors(path, group, Section)
+            yield ConfigError(message, key=key, expected=expected, nearest=near)
 
 
 _MOST_ATTEMPTS = 50

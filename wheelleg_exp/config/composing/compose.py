@@ -25,7 +25,7 @@ from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, optio
 from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
 from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
 from wheelleg_exp.config.key_slots import is_settable
-from wheelleg_exp.config.tree_lookup import leaves, node_paths
+from wheelleg_exp.config.tree_lookup import at, leaves, node_paths
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, WheellegError
 from wheelleg_exp.packages import config_folder
 from wheelleg_exp.terms.key_syntax import dotted, split_path
@@ -232,9 +232,6 @@ def _flat(error: Exception) -> str:
     return re.sub(r'^\w+ raised while resolving interpolation: "?(.*?)"?$', r"\1", flat(error))
 
 
-_ANOTHER_VALUE = "another value"
-
-
 def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
@@ -263,32 +260,35 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
 def require_read(
     recorded: Mapping[str, Any],
     overrides: Sequence[str],
-    read: Callable[[Mapping[str, Any]], Any],
+    read: Callable[[Mapping[str, Any]], object],
     instead: Mapping[str, str],
 ) -> None:
     """Raise ConfigError if an override has no effect, because the calling command does not read its config key.
 
-    The function ``read`` takes a config and returns the values that the calling command uses. An override of a config
-    key that the calling command uses is valid, even if the override repeats the key's old value. ``instead`` maps a
-    config key to the advice for errors about this key or its subkeys; ``instead[""]`` is the advice for all other keys.
+    The function ``read`` takes a config and returns the part of this config that the calling command uses. An override
+    of a config key that the calling command uses is valid, even if the override repeats the key's old value.
+    ``instead`` maps a config key to the advice for errors about this key or its subkeys; ``instead[""]`` is the advice
+    for all other keys.
     """
     errors: list[ConfigError] = []
-    tree: Mapping[str, Any] = recorded
+    changed = apply_overrides(recorded, overrides)
     for text in overrides:
-        keys, after = split_path(_parse(text).key_or_group), apply_overrides(tree, [text])
-        other = apply_overrides(after, [])
-        parent = _parent(other, keys, text)
-        old = parent.get(keys[-1], _ANOTHER_VALUE)
-        is_section = old is None or isinstance(old, Mapping)
-        parent[keys[-1]] = {**(old or {}), _ANOTHER_VALUE: None} if is_section else _ANOTHER_VALUE
-        if read(after) == read(tree) == read(other):
+        keys = split_path(_parse(text).key_or_group)
+        # Check a removed key in the config without the overrides.
+        tree = changed if at(changed, keys) is not None else recorded
+        if not _is_used(at(tree, keys), at(read(tree), keys)):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
             where = f"override {text}"
             errors.append(UnreadKey("this command ignores the key", key=key, where=where, expected=expected))
-        tree = after
     if errors:
         raise_all(errors)
+
+
+def _is_used(given: object, used: object) -> bool:
+    if isinstance(given, Mapping) and given:
+        return isinstance(used, Mapping) and any(_is_used(node, used.get(name)) for name, node in given.items())
+    return given == used
 
 
 @contextmanager

@@ -18,7 +18,6 @@ import torch
 
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
-from wheelleg_exp.env.realism import without_pushes
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
@@ -72,7 +71,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = Non
     ``handed_over`` is the config of the scene in which a policy takes over the robot from another policy.
     """
     tree = copy.deepcopy(tree)
-    env = tree["env"] = without_pushes(tree["env"])
+    env = tree["env"]
+    env["events"] = {n: e for n, e in env["events"].items() if e.get("mode") not in ("interval", "step")}
     env["num_envs"] = 1
     env["episode_length_s"] = tree["drive"]["episode_length_s"]
     env["curriculum"] = {}

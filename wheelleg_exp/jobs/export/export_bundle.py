@@ -60,7 +60,9 @@ from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.sim.options import read_env
 from wheelleg_exp.state.saved_values import restored_value
+from wheelleg_exp.terms.config_sections import plain_section
 
 _BIAS = "wheelleg_exp.mdp.events.randomize_encoder_bias"
 _RESET = "wheelleg_exp.mdp.events.reset_joints_by_scale"
@@ -81,7 +83,7 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     The checked simulation has no noise, delays, encoder errors, pushes, or randomization of the robot. Wheel joints
     start at their default positions, because the exported ``runner.py`` counts wheel angles from the reset.
     """
-    env = without_realism(env)
+    env = plain_section(without_realism(read_env(env)))
     found = as_configured(env)
     events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
     found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}

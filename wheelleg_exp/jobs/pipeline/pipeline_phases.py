@@ -63,6 +63,13 @@ class Pipeline:
 
 
 @dataclass(frozen=True)
+class PipelineRoot:
+    """The top-level config keys of a training pipeline."""
+
+    pipeline: Pipeline
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The verdict of a gate: the values of its metrics, and the violated bounds in words."""
 

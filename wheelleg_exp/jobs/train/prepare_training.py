@@ -23,6 +23,7 @@ from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.files import sync_folder
 from wheelleg_exp.jobs.job_display import Display
@@ -32,7 +33,6 @@ from wheelleg_exp.jobs.train.initial_networks import find_teacher, initial_file,
 from wheelleg_exp.jobs.train.scalar_logs import require_wandb
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests, source_roots
 from wheelleg_exp.jobs.train.training_recording import require_graphics
-from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.rl.determinism import no_global_draws
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer

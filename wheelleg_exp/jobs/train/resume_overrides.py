@@ -77,7 +77,7 @@ def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tu
     with placing(overrides):
         for change in found:
             _require_changeable(change, recorded, tree)
-        errors = check_tree(tree, schema.Root)
+        errors = check_tree(tree, schema.Experiment)
         if errors:
             raise_all(errors)
     return tree, found

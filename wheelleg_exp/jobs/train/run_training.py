@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import for_people, while_running, write_bytes, write_text
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.train.prepare_training import Training
 from wheelleg_exp.jobs.train.scalar_logs import WandbLog
 from wheelleg_exp.jobs.train.training_outputs import Outputs, checkpoint_due, save_failure, summary
-from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.rollout_log import logged
 from wheelleg_exp.rl.trainer import Iteration, Trainer

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
 from wheelleg_exp.jobs.rollout_files import close_dataset, write_dataset
 from wheelleg_exp.jobs.train.scalar_logs import WandbLog, event_files, open_events
 from wheelleg_exp.jobs.train.training_recording import Films, TrainingRecording
-from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.ranks import digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.trainer import Iteration, Trainer

@@ -8,10 +8,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.jobs.rollout_files import ObservingRecording, run_documents
-from wheelleg_exp.recording.recording_options import RecordingOptions
 from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.recording.writing.resume_recording import move_aside
 from wheelleg_exp.rendering import video_file
