@@ -62,7 +62,7 @@ def _reference() -> str:
         "# Every stock file\n",
         NOTE,
         "What stands in each file of `configs/`, by group. `wheelleg explain KEY` says the same of one key of a",
-        "composed config, with the place of every value; [config.md](../config.md) explains how the parts work together.",
+        "composed config, with the place of every value. [config.md](../config.md) explains how they fit together.",
         "Keys are those of a composed task; observation files can be mounted at other groups than `policy`, too.\n",
     ]
     names = catalog.groups()
