@@ -10,39 +10,25 @@ from functools import cache
 
 import torch
 
-# ``_PRODUCTS_TO_MATRIX`` maps the 16 products q_a q_b of a unit quaternion's components to the rotation matrix.
-_PRODUCTS_TO_MATRIX = torch.zeros(4, 4, 3, 3, device="cpu")
-for _i in range(3):
-    for _j in range(3):
-        if _i == _j:
-            for _a, _sign in ((0, 1), (1, -1), (2, -1), (3, -1)):
-                _PRODUCTS_TO_MATRIX[_a, _a, _i, _j] += _sign
-            _PRODUCTS_TO_MATRIX[_i + 1, _i + 1, _i, _j] += 2
-        else:
-            _PRODUCTS_TO_MATRIX[_i + 1, _j + 1, _i, _j] += 2
-            _third = 3 - _i - _j
-            _PRODUCTS_TO_MATRIX[0, _third + 1, _i, _j] += -2 if (_j - _i) % 3 == 1 else 2
-_PRODUCTS_TO_MATRIX = _PRODUCTS_TO_MATRIX.reshape(16, 9)
-
-# ``_PRODUCTS_TO_QUAT`` maps the 16 products a_i b_j of the components of two quaternions a and b to their product a b.
-_PRODUCTS_TO_QUAT = torch.zeros(4, 4, 4, device="cpu")
-for _i, _row in enumerate(((0, 1, 2, 3), (1, -0, 3, -2), (2, -3, -0, 1), (3, 2, -1, -0))):
-    for _j, _to in enumerate(_row):
-        _negative = _to < 0 or (_to == 0 and _i > 0)
-        _PRODUCTS_TO_QUAT[_i, _j, abs(_to)] = -1.0 if _negative else 1.0
-_PRODUCTS_TO_QUAT = _PRODUCTS_TO_QUAT.reshape(16, 4)
-
-# ``_HALF_ANGLES_TO_QUAT`` maps products of half-angle sines and cosines of roll, pitch, and yaw to a quaternion.
-# In ``_HALF_ANGLES_TO_QUAT[roll, pitch, yaw]``, index 0 stands for a half angle's cosine, and index 1 for its sine.
-_HALF_ANGLES_TO_QUAT = torch.zeros(2, 2, 2, 4, device="cpu")
-for _indices, _to, _weight in (
-    ((0, 0, 0), 0, 1.0), ((1, 1, 1), 0, 1.0),
-    ((1, 0, 0), 1, 1.0), ((0, 1, 1), 1, -1.0),
-    ((0, 1, 0), 2, 1.0), ((1, 0, 1), 2, 1.0),
-    ((0, 0, 1), 3, 1.0), ((1, 1, 0), 3, -1.0),
-):  # fmt: skip
-    _HALF_ANGLES_TO_QUAT[(*_indices, _to)] = _weight
-_HALF_ANGLES_TO_QUAT = _HALF_ANGLES_TO_QUAT.reshape(8, 4)
+# ``_UNITS[a, b]`` is the product of the units a and b of (1, i, j, k) as a quaternion: i j = k, j k = i, k i = j.
+_UNITS = torch.zeros(4, 4, 4, device="cpu")
+_UNITS[0, 0, 0] = 1.0
+for _a, _b, _c in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
+    _UNITS[_a, _b, _c], _UNITS[_b, _a, _c] = 1.0, -1.0  # The units i, j, and k anticommute: j i = -k.
+    _UNITS[_a, _a, 0] = -1.0  # The square of i, j, or k is -1.
+    _UNITS[0, _a, _a] = _UNITS[_a, 0, _a] = 1.0
+# Each table maps products of components, flattened to one index, to a result.
+# The Hamilton product a b is the sum of a_i b_j times the product of the units i and j.
+_PRODUCTS_TO_QUAT = _UNITS.reshape(16, 4)
+# A unit quaternion q with the conjugate q* rotates v to q v q*, which is linear in the 16 products q_a q_b. Because
+# q_a q_b = q_b q_a, the sum of both factors belongs to a < b, so that a sum of two terms gives each matrix element.
+_CONJUGATE = torch.tensor([1.0, -1.0, -1.0, -1.0], device="cpu")
+_ONCE = torch.ones(4, 4, device="cpu").triu() - torch.eye(4, device="cpu") / 2
+_ROTATED = torch.einsum("ajk,kbi,b->abij", _UNITS[:, 1:], _UNITS[:, :, 1:], _CONJUGATE)
+_PRODUCTS_TO_MATRIX = torch.einsum("abij,ab->abij", _ROTATED + _ROTATED.transpose(0, 1), _ONCE).reshape(16, 9) + 0.0
+# Rz(yaw) Ry(pitch) Rx(roll) is the product of cos + k sin, cos + j sin, and cos + i sin of the half angles. In
+# ``_HALF_ANGLES_TO_QUAT``, the index 0 of roll, pitch, or yaw stands for the cosine, and 1 for the sine.
+_HALF_ANGLES_TO_QUAT = torch.einsum("ypk,krc->rpyc", _UNITS[::3, ::2], _UNITS[:, :2]).reshape(8, 4) + 0.0
 
 
 @cache
