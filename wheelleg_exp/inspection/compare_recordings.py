@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +64,7 @@ class RecordingComparison:
         """Whether both recordings contain the same entities with bitwise equal rows."""
         return not (self.different or self.only_first or self.only_second)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the comparison of two Rerun recordings as a dictionary for JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 

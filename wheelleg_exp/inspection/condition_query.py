@@ -13,7 +13,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,9 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 LONGEST = 2000
 DEEPEST = 60
 _SHOWN = 120  # Error messages show at most 120 characters of the condition after `--where`.
-_Operators = dict[type, Callable[[Any, Any], Any]]
-_COMPARE: _Operators = {
+Numbers = NDArray[np.float64]
+Value = Numbers | float
+_COMPARE: dict[type, Callable[[Value, Value], NDArray[np.bool_]]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.Gt: operator.gt,
@@ -36,14 +37,13 @@ _COMPARE: _Operators = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
 }
-_ARITHMETIC: _Operators = {
+_ARITHMETIC: dict[type, Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
 }
 _EXPECTED = "names, numbers, < <= > >= == !=, and, or, not, + - * /, ( ) and abs( )"
-Value = NDArray | float
 
 
 class Condition:
@@ -122,13 +122,13 @@ def _value(node: ast.expr, values: Mapping[str, NDArray[np.float64]]) -> Value:
     name = _name(node)
     if name is not None:
         return values[name]
-    if isinstance(node, ast.Constant):
-        return float(node.value)  # type: ignore[arg-type]
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+        return float(node.value)
     parts = [_value(part, values) for part in _parts(node) or ()]
     match node:
         case ast.BoolOp(op=op):
-            join = operator.and_ if isinstance(op, ast.And) else operator.or_
-            return reduce(join, map(_truth, parts)).astype(np.float64)
+            join = np.logical_and if isinstance(op, ast.And) else np.logical_or
+            return np.asarray(reduce(join, map(_truth, parts)), dtype=np.float64)
         case ast.UnaryOp(op=ast.Not()):
             return np.logical_not(_truth(parts[0])).astype(np.float64)
         case ast.UnaryOp(op=ast.USub()):
@@ -138,14 +138,14 @@ def _value(node: ast.expr, values: Mapping[str, NDArray[np.float64]]) -> Value:
         case ast.Compare(ops=ops):
             steps = zip(ops, parts[:-1], parts[1:], strict=True)
             found = (~(np.isnan(a) | np.isnan(b)) & _COMPARE[type(op)](a, b) for op, a, b in steps)
-            return reduce(operator.and_, found).astype(np.float64)
+            return np.asarray(reduce(np.logical_and, found), dtype=np.float64)
         case ast.Call():
             return np.abs(parts[0])
     return parts[0]
 
 
 def _truth(value: Value) -> NDArray[np.bool_]:
-    return (np.asarray(value) != 0) & ~np.isnan(value)
+    return np.asarray((np.asarray(value) != 0) & ~np.isnan(value))
 
 
 def _wrong(text: str, reason: str) -> WheellegError:
@@ -189,7 +189,7 @@ def find_hits(
     hits = []
     for frames in everything:
         holds = condition.holds({name: frames.column(name) for name in condition.names})
-        steps = frames.column(STEP)
+        steps = frames.steps
         rows = np.flatnonzero(holds & np.isin(steps, np.asarray(chosen.apply(frames.table).column(STEP))))
         times = [name for name in frames.table.column_names if name not in frames.names]
         shown = Frames(frames.table.select([*times, *dict.fromkeys(columns or condition.names)]), frames.env_id)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, Statistics, View, frames_for, statistics
-from wheelleg_exp.recording.layout import STEP
 from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
@@ -71,7 +70,7 @@ class _Marks:
     def __init__(self, view: View, env_id: int, ends: Frames) -> None:
         self._env_id, self._ends = env_id, ends
         self._fired = np.stack([ends.column(name) > 0 for name in ends.names], axis=1)
-        self._steps: NDArray[np.int64] = ends.column(STEP)
+        self._steps = ends.steps
         self._step_dt = view.recording.step_dt or 0.0
         # Old and truncated recordings can lack the episode's number and the step number within the episode.
         own = view.frames("episode", env_id)
@@ -84,10 +83,10 @@ class _Marks:
 
     def begins(self) -> NDArray[np.bool_]:
         if self._own is not None:
-            return np.diff(self._own.column("number"), prepend=self._own.column("number")[:1]) != 0
+            numbers = self._own.column("number")
+            return np.asarray(np.diff(numbers, prepend=numbers[:1]) != 0)
         begins = np.zeros(len(self._steps), dtype=bool)
-        ended = np.asarray(self._fired.any(axis=1))
-        begins[1:] = (np.diff(self._steps) != 1) | ended[:-1]
+        begins[1:] = (np.diff(self._steps) != 1) | self._fired[:-1].any(axis=1)
         return begins
 
     def episode(self, first: int, last: int) -> Episode:
@@ -101,7 +100,7 @@ class _Marks:
             failed, over = int(self._steps[last]) in self._failed_steps, bool(names)
         first_step, last_step, reward = int(self._steps[first]), int(self._steps[last]), None
         if self._rewards is not None and TOTAL in self._rewards.names:
-            steps = self._rewards.column(STEP)
+            steps = self._rewards.steps
             rows = (steps >= first_step) & (steps <= last_step)
             reward = float(np.nansum(self._rewards.column(TOTAL)[rows]) * self._step_dt)
         return Episode(

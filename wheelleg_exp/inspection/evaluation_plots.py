@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.ticker import PercentFormatter
+from numpy.typing import NDArray
 
 from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.files import write_new
 from wheelleg_exp.inspection.plot_style import FAINT, INK, MUTED, PROGRESS, Panel, colour, figure_bytes, tile
 
-Array = np.ndarray[Any, Any]
+Array = NDArray[np.float64]
 Episodes = Mapping[str, Array]
+Reduction = Callable[[Array], float]
 
 # In a map of survival rates, dark red means failure and pale blue means success.
 # In a map of tracking errors, a pale colour means a small tracking error.
@@ -80,7 +81,7 @@ def _share_axis(axes: Axes, low: float, high: float = 1.02) -> None:
 
 
 def _of_walking(rows: Episodes) -> list[Panel]:
-    def over(name: str, factor: float = 1.0, of: Callable[..., Any] = np.nanmean) -> Panel | None:
+    def over(name: str, factor: float = 1.0, of: Reduction = np.nanmean) -> Panel | None:
         if not _some(rows, name):
             return None
         # Average tracking errors only over robots that did not fall, because a robot that fell drove for a short time.
@@ -188,7 +189,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(finite)))) if len(finite) else math.nan
 
 
-def _grid(across: Array, up: Array, values: Array, of: Callable[..., Any]) -> tuple[Array, list[float], list[float]]:
+def _grid(across: Array, up: Array, values: Array, of: Reduction) -> tuple[Array, list[float], list[float]]:
     columns, lines = np.unique(across), np.unique(up)
     found = np.full((len(lines), len(columns)), np.nan)
     for i, line in enumerate(lines):

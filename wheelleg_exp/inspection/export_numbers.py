@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.csv as pacsv
@@ -135,9 +134,9 @@ def _described(table: pa.Table, entities: Mapping[str, str], recording: Recordin
         place = sum(name in TIMELINES for name in table.column_names)
         fields.insert(place, pa.field(ENV, pa.int64()))
         columns.insert(place, pa.array([env_id] * table.num_rows, pa.int64()))
-    about: dict[str, Any] = {"recording_id": recording.recording_id, "purpose": recording.purpose}
     own = recording.properties.get("wheelleg", {})
-    about |= {key: own[key] for key in ("run_id", "task", "seed", "step_dt") if key in own}
+    about = {key: own[key] for key in ("run_id", "task", "seed", "step_dt") if key in own}
+    about = {"recording_id": recording.recording_id, "purpose": recording.purpose, **about}
     return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"wheelleg": json.dumps(about)}))
 
 

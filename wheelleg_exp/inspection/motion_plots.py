@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -226,12 +225,10 @@ def _effort(source: Source, entity: str, limit: float | None, axes: Axes) -> Non
         axes.set_ylim(*_padded(-limit, limit, 0.12))
         for bound in (-limit, limit):
             axes.axhline(bound, color=FAILED, linewidth=1.0, linestyle=(0, (4, 2)))
-        place: dict[str, Any] = {
-            "xycoords": ("axes fraction", "data"),
-            "xytext": (0, -2),
-            "textcoords": "offset points",
-        }
-        axes.annotate(f"limit ±{limit:g}", (1, limit), ha="right", va="top", fontsize=8, color=FAILED, **place)
+        axes.annotate(
+            f"limit ±{limit:g}", (1, limit), (0, -2), xycoords=("axes fraction", "data"), textcoords="offset points",
+            ha="right", va="top", fontsize=8, color=FAILED,
+        )  # fmt: skip
 
 
 def _force(source: Source, series: Series, peak: Series | None, column: int, top: float, axes: Axes) -> None:

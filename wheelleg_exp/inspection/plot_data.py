@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.inspection.row_selection import Selection
@@ -21,7 +20,8 @@ from wheelleg_exp.recording.reading.number_groups import is_numeric, parts_of
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
 Numbers = NDArray[np.float64]
-Scalars = Mapping[str, tuple[Any, Any]]
+Points = tuple[Sequence[int] | NDArray[np.int64], Sequence[float] | Numbers]  # iterations and values of a curve
+Scalars = Mapping[str, Points]
 _LARGEST = 1e100
 _SHOWN_SAMPLES = 4
 _LONGEST_CONFIG = 1 << 20  # characters
@@ -37,7 +37,7 @@ class Series:
     values: Numbers
     names: tuple[str, ...]
 
-    def rows(self, which: Any) -> Series:
+    def rows(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Series:
         """Return a copy of the series that contains only the rows ``which``, given as indices or as a boolean mask."""
         iteration = None if self.iteration is None else self.iteration[which]
         return Series(self.step[which], self.time[which], iteration, self.values[which], self.names)
@@ -135,10 +135,10 @@ class Source:
         found = self._series(entity) if is_numeric(self.recording, entity) else None
         return found if found is not None and found.values.size else None
 
-    def training(self) -> dict[str, tuple[Any, Any]]:
+    def training(self) -> dict[str, Points]:
         """Return each training scalar's iterations and values as a dictionary with keys such as ``Loss/value``."""
         head = f"{TRAINING}/"
-        found: dict[str, tuple[Any, Any]] = {}
+        found: dict[str, Points] = {}
         numeric = (e for e in self._entities if e.startswith(head) and is_numeric(self.recording, e))
         for entity in numeric:
             series = self._series(entity)
@@ -219,19 +219,19 @@ def chosen_rows(
     return np.asarray(selection.apply(pa.table(columns)).column("row"), dtype=np.intp)
 
 
-def target_height(rewards: Any) -> float | None:
+def target_height(rewards: object) -> float | None:
     """Return the base's target height, m, from the config section of the reward terms; None without a target height."""
     heights = (as_number(_mapping(term).get("target_height")) for term in _mapping(rewards).values())
     return next((height for height in heights if height is not None), None)
 
 
-def drawable(values: Any) -> Numbers:
+def drawable(values: ArrayLike) -> Numbers:
     """Replace values that are not finite or too large for a plot axis by NaN."""
     found = np.asarray(values, dtype=np.float64)
     return np.where(np.abs(found) < _LARGEST, found, np.nan)
 
 
-def mean_of(values: Any) -> float:
+def mean_of(values: ArrayLike) -> float:
     """Return the mean of the drawable values (finite and not too large for an axis); 0 without drawable values."""
     known = drawable(values)
     known = known[np.isfinite(known)]
@@ -252,7 +252,7 @@ def _integers(table: pa.Table, name: str) -> NDArray[np.int64]:
     return np.asarray(table.column(name).combine_chunks().cast(pa.int64()).fill_null(-1), dtype=np.int64)
 
 
-def _config(recording: Recording) -> dict[str, Any]:
+def _config(recording: Recording) -> Mapping[str, object]:
     text = recording.document("config")
     if text is None or len(text) > _LONGEST_CONFIG:
         return {}
@@ -262,5 +262,5 @@ def _config(recording: Recording) -> dict[str, Any]:
         return {}
 
 
-def _mapping(value: Any) -> dict[str, Any]:
+def _mapping(value: object) -> Mapping[str, object]:
     return value if isinstance(value, dict) else {}

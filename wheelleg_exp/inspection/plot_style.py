@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -21,6 +21,9 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.text import Text
 
 from wheelleg_exp.errors import printable
+
+if TYPE_CHECKING:
+    from matplotlib.typing import ColorType, RcKeyType
 
 BLUE, VERMILLION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#A65698"
 ORANGE, SKY, BROWN, GREY = "#E69F00", "#56B4E9", "#7A5C3E", "#6B7280"
@@ -38,7 +41,7 @@ _MOST_PANELS = 200
 _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _WEB_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 
-STYLE: Mapping[str, Any] = {
+STYLE: Mapping[RcKeyType, object] = {
     "font.family": ["sans-serif"],
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9.0,
@@ -124,7 +127,7 @@ def colour(index: int) -> str:
     return PALETTE[index % len(PALETTE)]
 
 
-def shades(count: int) -> list[Any]:
+def shades(count: int) -> list[ColorType]:
     """Return plot colours from pale (early) to dark (late) for curves that are ordered in time."""
     return [BLUE] if count == 1 else [PROGRESS(i / (count - 1)) for i in range(count)]
 
@@ -147,8 +150,9 @@ def page(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[flo
     heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
     width = PAGE_WIDTH if max(map(len, (p for s in rows for p in s))) > 1 else PAGE_WIDTH / 1.6
     figure = Figure(figsize=size or (width, sum(heights)))
-    several = len(sections) > 1
-    parts: Any = figure.subfigures(len(sections), 1, height_ratios=heights) if several else [figure]
+    parts: list[Figure | SubFigure] = [figure]
+    if len(sections) > 1:
+        parts = list(figure.subfigures(len(sections), 1, squeeze=False, height_ratios=heights)[:, 0])
     for part, (title, _), section in zip(parts, sections, rows, strict=True):
         if title:
             part.suptitle(title, x=0.012, ha="left", fontsize=12, fontweight="bold", color=INK)
@@ -164,8 +168,8 @@ def figure_svg(figure: Figure) -> str:
     """
     with _saved(figure):
         buffer = io.StringIO()
-        nothing: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        FigureCanvasSVG(figure).print_svg(buffer, metadata=nothing)
+        write: Callable[..., None] = FigureCanvasSVG(figure).print_svg
+        write(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     text = buffer.getvalue()
     text = text[text.index("<svg") :]  # Remove the SVG's XML declaration, which an HTML page cannot contain.
     text = re.sub(r"font: ((?:[a-z0-9]+ )*[\d.]+px) [^;\"]+", rf"font: \1 {_WEB_FONTS}", text)
@@ -179,9 +183,9 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
     if kind == "svg":
         return f'<?xml version="1.0" encoding="utf-8" standalone="no"?>\n{figure_svg(figure)}'.encode()
     buffer = io.BytesIO()
-    metadata: dict[str, Any] = {"CreationDate": None} if kind == "pdf" else {"Software": None}
     with _saved(figure):
         FigureCanvasAgg(figure)
+        metadata = {"CreationDate" if kind == "pdf" else "Software": None}
         figure.savefig(buffer, format=kind, dpi=_DPI, metadata=metadata)
     return buffer.getvalue()
 

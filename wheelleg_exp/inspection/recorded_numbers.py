@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.inspection.row_selection import Selection, nothing_chosen
-from wheelleg_exp.recording.layout import BRANCH, unit
+from wheelleg_exp.recording.layout import BRANCH, STEP, unit
 from wheelleg_exp.recording.reading.arrow_values import TIMELINES
 from wheelleg_exp.recording.reading.number_groups import Number
 from wheelleg_exp.recording.reading.recording_reader import Event, Recording
@@ -65,8 +65,7 @@ def statistics(values: NDArray[np.float64], at: Callable[[int], Moment] | None =
     counts = (len(values), nan, len(values) - len(kept) - nan)
     first, last = (at(0), at(len(values) - 1)) if at and len(values) else (None, None)
     if not len(kept):
-        nothing = dict.fromkeys(("mean", "std", "rms", "minimum", "maximum", "minimum_at", "maximum_at"))
-        return Statistics(*counts, **nothing, quantiles={}, first_at=first, last_at=last)  # type: ignore[arg-type]
+        return Statistics(*counts, None, None, None, None, None, {}, None, None, first, last)
     places = np.flatnonzero(finite)
     low, high = places[np.argmin(kept)], places[np.argmax(kept)]
     with np.errstate(over="ignore", invalid="ignore"):  # Suppress numpy's warning that a square overflows.
@@ -85,15 +84,20 @@ class Frames:
     env_id: int | None
 
     def __len__(self) -> int:
-        return self.table.num_rows
+        return int(self.table.num_rows)
 
     @property
     def names(self) -> list[str]:
         """The names of the recorded numbers in a table of frames."""
         return [name for name in self.table.column_names if name not in TIMELINES]
 
-    def column(self, name: str) -> NDArray:
-        """Return the n values, (n,), of the recorded number or timeline with the given name."""
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """The control step of each frame, (n,)."""
+        return np.asarray(self.table.column(STEP))
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """Return the n values, (n,), of the recorded number with the given name."""
         return np.asarray(self.table.column(name))
 
     def moment(self, row: int) -> Moment:
@@ -145,7 +149,7 @@ class View:
             row -= len(frames)
         raise IndexError(row)
 
-    def static(self, path: str) -> dict[str, list]:
+    def static(self, path: str) -> dict[str, list[object]]:
         """Return a Rerun entity's static data (data without time) in the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -25,6 +24,7 @@ from wheelleg_exp.rendering.render_scene import FAR, Array, Ground, Scene, Shape
 
 _GREY = (0.6, 0.62, 0.65, 1.0)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
+Statics = Mapping[str, list[object]]
 
 
 def _is_drawable(shape: Shape) -> bool:
@@ -35,17 +35,19 @@ def _is_drawable(shape: Shape) -> bool:
     return bool(faces.size and (np.abs(corners) < FAR).all() and faces.max() < len(shape.vertices))
 
 
-def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> Iterator[Shape]:
-    sizes = statics.get("half_sizes") or list(zip(*(statics.get(n) or [] for n in ("radii", "lengths")), strict=False))
-    for i in range(len(sizes)):
-        pos = tuple(_at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0)))
+def _solids(statics: Statics, archetypes: Collection[str]) -> Iterator[Shape]:
+    tubes = min(len(statics.get(name) or ()) for name in ("radii", "lengths"))
+    for i in range(len(statics.get("half_sizes") or ()) or tubes):
+        pos = _at(statics, ("centers", "translations"), i, (0.0, 0.0, 0.0))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
-        rgba = rgba_of(_at(statics, ("colors",), i, None))
+        colours = statics.get("colors") or [None]
+        rgba = rgba_of(colours[min(i, len(colours) - 1)])
         if "half_sizes" in statics:  # In Rerun, boxes and ellipsoids both have the component `half_sizes`.
             kind = "ellipsoid" if "Ellipsoids3D" in archetypes else "box"
-            yield Shape(kind, tuple(statics["half_sizes"][i]), pos, quat, rgba)
+            yield Shape(kind, _at(statics, ("half_sizes",), i, ()), pos, quat, rgba)
             continue
-        radius, half = float(statics["radii"][i]), float(statics["lengths"][i]) / 2
+        radius, length = (*_at(statics, ("radii",), i, ()), *_at(statics, ("lengths",), i, ()))
+        half = length / 2
         if "centers" in statics:
             yield Shape("cylinder", (radius, half), pos, quat, rgba)
         else:
@@ -54,7 +56,7 @@ def _solids(statics: Mapping[str, list[Any]], archetypes: Collection[str]) -> It
             yield Shape("capsule", (radius, half), tuple(centre.tolist()), quat, rgba)
 
 
-def _meshes(statics: Mapping[str, list[Any]]) -> Iterator[Shape]:
+def _meshes(statics: Statics) -> Iterator[Shape]:
     vertices = np.asarray(statics["vertex_positions"], dtype=np.float64)
     own = np.arange(len(vertices) - len(vertices) % 3)
     faces = np.asarray(statics.get("triangle_indices") or own, dtype=np.int64).reshape(-1, 3)
@@ -62,23 +64,24 @@ def _meshes(statics: Mapping[str, list[Any]]) -> Iterator[Shape]:
     normals = np.asarray(given, dtype=np.float64) if given is not None and len(given) == len(vertices) else None
     shade = rgba_of((statics.get("albedo_factor") or [None])[0])
     for i in range(max(1, len(statics.get("translations") or []))):
-        pos = tuple(_at(statics, ("translations",), i, (0.0, 0.0, 0.0)))
+        pos = _at(statics, ("translations",), i, (0.0, 0.0, 0.0))
         quat = _wxyz(_at(statics, ("quaternions",), i, (0.0, 0.0, 0.0, 1.0)))
         yield Shape("mesh", (), pos, quat, shade, vertices, faces, normals)
 
 
-def _at(statics: Mapping[str, list[Any]], names: Sequence[str], i: int, otherwise: Any) -> Any:
-    values = next(filter(None, map(statics.get, names)), None)
-    return values[min(i, len(values) - 1)] if values else otherwise
+def _at(statics: Statics, names: Sequence[str], i: int, otherwise: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the numbers in row ``i``, or else in the last row, of the first component in ``names`` that has rows."""
+    values = next(filter(None, map(statics.get, names)), None) or [otherwise]
+    return tuple(np.asarray(values[min(i, len(values) - 1)], dtype=float).ravel().tolist())
 
 
-def rgba_of(packed: Any) -> tuple[float, ...]:
+def rgba_of(packed: object) -> tuple[float, ...]:
     """Return the RGBA components, 0 to 1, of a colour 0xRRGGBBAA; grey for None."""
-    return _GREY if packed is None else tuple(((int(packed) >> shift) & 255) / 255 for shift in (24, 16, 8, 0))
+    return tuple(((packed >> shift) & 255) / 255 for shift in (24, 16, 8, 0)) if isinstance(packed, int) else _GREY
 
 
-def _wxyz(xyzw: Any) -> tuple[float, ...]:
-    x, y, z, w = (float(v) for v in xyzw)
+def _wxyz(xyzw: tuple[float, ...]) -> tuple[float, ...]:
+    x, y, z, w = xyzw
     return (w, x, y, z) if np.isfinite((x, y, z, w)).all() and (x, y, z, w) != (0, 0, 0, 0) else _IDENTITY
 
 
@@ -129,8 +132,8 @@ def scene_of(source: Source) -> Scene:
         reason = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
         message = f"'{source.recording.path}' contains no moving robot{reason}"
         raise RunDirectoryError(message, expected="a recording of at least one whole step")
-    offset = source.recording.static(f"{GROUND}/terrain").get("translation") or [[0.0, 0.0, 0.0]]
-    terrain = [moved(shape, offset[0]) for shape in _shapes_below(source, f"{GROUND}/terrain")]
+    offset = _at(source.recording.static(f"{GROUND}/terrain"), ("translation",), 0, (0.0, 0.0, 0.0))
+    terrain = [moved(shape, offset) for shape in _shapes_below(source, f"{GROUND}/terrain")]
     return Scene(bodies, terrain, _ground(source), _root(source, list(bodies)), _size(source, bodies))
 
 
@@ -182,7 +185,7 @@ def _root(source: Source, names: list[str]) -> int:
     return int(np.argmin(distance))
 
 
-def _property(source: Source, name: str) -> list[Any]:
+def _property(source: Source, name: str) -> list[object]:
     value = source.recording.properties.get("robot", {}).get(name)
     return [] if value is None else (value if isinstance(value, list) else [value])
 
@@ -232,7 +235,7 @@ def _arrows(source: Source, step: NDArray[np.int64]) -> list[Arrows]:
                 both = np.concatenate((starts[:count], ends[:count]), axis=1)
                 by_step[int(own)] = both[(np.abs(both) < FAR).all(axis=1)]
             rows = [by_step.get(int(s), np.empty((0, 6))) for s in step]
-            rgba, radius = rgba_of((statics.get("colors") or [None])[0]), float((statics.get("radii") or [0.002])[0])
+            rgba, (radius, *_) = rgba_of((statics.get("colors") or [None])[0]), _at(statics, ("radii",), 0, (0.002,))
             label = _ARROWS.get(name, "contact force")
             found.append(Arrows(label, rgba, radius, [row[:, :3] for row in rows], [row[:, 3:] for row in rows]))
     return found

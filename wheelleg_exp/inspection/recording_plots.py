@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -25,8 +25,11 @@ from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.layout import TRAINING
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
+if TYPE_CHECKING:
+    from matplotlib.typing import LineStyleType
+
 KINDS = ("png", "svg", "pdf")
-_STYLES: tuple[Any, ...] = ("-", (0, (4, 3)), "-.", ":")
+_STYLES: tuple[LineStyleType, ...] = ("-", (0, (4, 3)), "-.", ":")
 
 
 @dataclass(frozen=True)

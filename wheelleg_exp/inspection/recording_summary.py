@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -168,7 +167,7 @@ class Summary:
     path: str
     recording_id: str
     purpose: str | None
-    properties: dict[str, dict[str, Any]]
+    properties: dict[str, dict[str, object]]
     health: Health
     env_ids: list[int]
     sample: Sample | None
@@ -188,7 +187,7 @@ class Summary:
     training: list[Trend]
     samples: list[Sample]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the summary of a recording as a dictionary for JSON."""
         return {**asdict(self), "health": self.health.as_dict()}
 

@@ -6,7 +6,6 @@ import os
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
@@ -33,7 +32,7 @@ class Target:
             return None
         return effective_status(self.run.manifest())
 
-    def resting(self) -> AbstractContextManager[Any]:
+    def resting(self) -> AbstractContextManager[object]:
         """Return a lock of the recording's run directory; while it is locked, no process can resume the run."""
         # Skip the lock if the user has no write access to the lock file, because this user cannot resume the run.
         if self.run is None or self.status is None or not os.access(self.run.path / RUN_LOCK, os.W_OK):

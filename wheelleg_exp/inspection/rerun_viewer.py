@@ -118,7 +118,7 @@ class WebViewer(ThreadingHTTPServer):
         self.server_close()
         self._thread.join()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, *_: object) -> None:
         pass  # Ignore a closed connection, because a browser can close its connection at any time.
 
 
@@ -159,7 +159,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_HEAD(self) -> None:
         self._answer(with_body=False)
 
-    def log_message(self, *_: Any) -> None:
+    def log_message(self, *_: object) -> None:
         pass
 
     def _answer(self, *, with_body: bool) -> None:

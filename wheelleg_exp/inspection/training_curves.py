@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import ArrayLike
 
 from wheelleg_exp.definitions import EPISODE_REWARD, curve_title, scalar_definition
-from wheelleg_exp.inspection.plot_data import Numbers, Scalars, drawable, mean_of
+from wheelleg_exp.inspection.plot_data import Numbers, Points, Scalars, drawable, mean_of
 from wheelleg_exp.inspection.plot_style import BLUE, INK, MUTED, VERMILLION, Panel, colour
 
-ITERATIONS = "iteration"
+if TYPE_CHECKING:
+    from matplotlib.typing import ColorType, LineStyleType
+
 _SMOOTHED_FROM = 60
 _WINDOWS = 40
 _LOG_FROM = 50.0  # The axis of a curve is logarithmic if the curve's largest value is over 50 times its smallest value.
@@ -98,8 +101,8 @@ def shares(means: Mapping[str, float], title: str, unit: str) -> Panel:
         for row, v in enumerate(values):
             share = abs(v) / total
             text = f"{v:+.3g}  ({f'{share:.0%}' if share >= 0.005 else '<1%'})" if v else "0"
-            place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-            axes.annotate(text, (max(v, 0.0), row), fontsize=8, color=INK, **place)
+            at = (max(v, 0.0), row)
+            axes.annotate(text, at, (5, 0), textcoords="offset points", va="center", fontsize=8, color=INK)
         axes.axvline(0.0, color=MUTED, linewidth=0.8)
         low, high = min(0.0, *values), max(0.0, *values)
         axes.set_xlim(low - 0.02 * (high - low), high + 0.32 * (high - low) or 1.0)
@@ -119,7 +122,9 @@ def smooth(values: Numbers) -> Numbers:
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
-def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None, style: Any = "-") -> None:
+def draw_curve(
+    axes: Axes, x: ArrayLike, y: ArrayLike, shade: ColorType, label: str | None = None, style: LineStyleType = "-"
+) -> None:
     """Draw a curve over training iterations; draw a long curve in a pale colour, and its moving mean on top."""
     values = drawable(y)
     if len(values) >= _SMOOTHED_FROM:
@@ -131,14 +136,14 @@ def draw_curve(axes: Axes, x: Any, y: Any, shade: Any, label: str | None = None,
 
 def over_iterations(axes: Axes, label: str = "") -> None:
     """Label the axes of a plot panel that shows numbers over training iterations."""
-    axes.set_xlabel(ITERATIONS)
+    axes.set_xlabel("iteration")
     axes.set_ylabel(label)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
     if axes.get_yscale() == "linear":
         axes.yaxis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 2.5, 5, 10]))
 
 
-def _curve(key: str, points: tuple[Any, Any]) -> Panel:
+def _curve(key: str, points: Points) -> Panel:
     known = scalar_definition(key)
 
     def draw(axes: Axes) -> None:
@@ -152,12 +157,12 @@ def _curve(key: str, points: tuple[Any, Any]) -> Panel:
     return Panel(curve_title(key), draw)
 
 
-def _below(scalars: Scalars, group: str) -> dict[str, tuple[Any, Any]]:
+def _below(scalars: Scalars, group: str) -> dict[str, Points]:
     head = f"{group}/"
     return {key.removeprefix(head): points for key, points in scalars.items() if key.startswith(head)}
 
 
-def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> None:
+def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, ColorType]]) -> None:
     """Stack named rows over ``x``: positive numbers up, negative numbers down."""
     for sign in (1.0, -1.0):
         parts = [(shade, np.clip(sign * np.nan_to_num(v), 0, None) * sign) for _, v, shade in rows]
@@ -170,9 +175,7 @@ def stack(axes: Axes, x: Numbers, rows: Sequence[tuple[str, Numbers, Any]]) -> N
     axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _on(x: Numbers, points: tuple[Any, Any]) -> Numbers:
-    own, values = np.asarray(points[0]), drawable(points[1])
-    if len(own) == len(x) and np.array_equal(own, x):
-        return np.nan_to_num(values)
-    found = dict(zip(own.tolist(), values.tolist(), strict=True))
-    return np.nan_to_num(np.array([found.get(i, 0.0) for i in x.tolist()]))
+def _on(x: Numbers, points: Points) -> Numbers:
+    found = dict(zip(np.asarray(points[0]).tolist(), drawable(points[1]).tolist(), strict=True))
+    values: Numbers = np.nan_to_num(np.array([found.get(i, 0.0) for i in x.tolist()]))
+    return values
