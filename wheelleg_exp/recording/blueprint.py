@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import rerun.blueprint as rrb
 
@@ -91,7 +91,7 @@ def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
     )
 
 
-def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
+def _env_tabs(env: EnvLayout, *, several: bool) -> list[rrb.Container | rrb.View]:
     data = env.paths.data
     joints = []
     # Draw one plot per joint, because a plot of joints at very different positions hides small tracking errors.
@@ -100,7 +100,7 @@ def _env_tabs(env: EnvLayout, *, several: bool) -> list[Any]:
         parts = (data("joints", joint, part) for part in (kind, f"{kind}_target"))
         joints.append(_plot(f"{joint} {kind} ({unit})", *parts))
     efforts = _plot("Effort (N·m)", *(data("joints", joint, "effort") for joint in env.joints))
-    tabs = [
+    tabs: list[rrb.Container | rrb.View] = [
         rrb.Vertical(*_motion_plots(env), name="Motion"),
         rrb.Grid(*joints, grid_columns=_columns(len(joints)), name="Joints"),
         rrb.Vertical(efforts, _plot("Raw action", data("actions", "raw")), name="Efforts"),
@@ -136,7 +136,7 @@ def _columns(count: int) -> int:
     return 1 if count < 3 else 2 if count <= 8 else 3
 
 
-def _motion_plots(env: EnvLayout) -> list[Any]:
+def _motion_plots(env: EnvLayout) -> list[rrb.TimeSeriesView]:
     height, roll, pitch, *speeds = (env.paths.data("base", n) for n in ("height", "roll", "pitch", "v_x", "w_z"))
     asked = [] if env.command is None else [env.paths.data("commands", env.command, n) for n in ("v_x", "w_z")]
     return [
@@ -147,7 +147,7 @@ def _motion_plots(env: EnvLayout) -> list[Any]:
     ]
 
 
-def _training(keys: Sequence[str]) -> Any:
+def _training(keys: Sequence[str]) -> rrb.Container | rrb.View:
     groups: dict[str, dict[str, str]] = {}
     for key in keys:
         group, _, rest = key.rpartition("/")
@@ -163,7 +163,7 @@ def _training(keys: Sequence[str]) -> Any:
     return rrb.Tabs(*tabs, name="Learning", active_tab=0)
 
 
-def _metrics(env: EnvLayout, has_figures: bool) -> Any:
+def _metrics(env: EnvLayout, has_figures: bool) -> rrb.Vertical:
     plots = [*_motion_plots(env), _plot("Reward (1/s)", env.paths.data("rewards", "total"), legend=False)]
     plots.append(_plot("Terminations", f"{env.paths.data('terminations')}/**"))
     grid = rrb.Grid(*plots, grid_columns=2)

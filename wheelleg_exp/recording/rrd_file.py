@@ -25,7 +25,11 @@ import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+    from rerun.chunk import Chunk
 
 MAGIC = b"RRF2"
 HEADER_SIZE = 12
@@ -107,17 +111,17 @@ def encoded_header() -> bytes:
     return _chunk_file([], "").header
 
 
-def encoded_chunks(chunks: Iterable[Any], recording_id: str) -> bytes:
+def encoded_chunks(chunks: Iterable[Chunk], recording_id: str) -> bytes:
     """Encode data chunks as rrd messages of one recording. Raise OSError if a temporary file cannot be written."""
     return b"".join(_chunk_file(chunks, recording_id).body())
 
 
-def encoded_blueprint(blueprint: Any) -> bytes:
+def encoded_blueprint(blueprint: rrb.Blueprint) -> bytes:
     """Encode a layout of Rerun's viewer (blueprint) as rrd messages, which set the default layout of a recording."""
     return b"".join(_temporary_file(lambda path: blueprint.to_blueprint().save(APPLICATION, path)).body())
 
 
-def _chunk_file(chunks: Iterable[Any], recording_id: str) -> RrdFile:
+def _chunk_file(chunks: Iterable[Chunk], recording_id: str) -> RrdFile:
     from rerun.chunk import LazyChunkStream
 
     stream = LazyChunkStream.from_iter(chunks)

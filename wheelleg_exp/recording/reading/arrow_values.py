@@ -36,19 +36,19 @@ def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
     if any(pa.types.is_union(kind) or pa.types.is_map(kind) for kind in _nested_types(array.type)):
         return [None] * len(array)
     try:
-        return array.cast(_times_as_integers(array.type)).to_pylist()
+        return list(array.cast(_times_as_integers(array.type)).to_pylist())
     except ValueError:  # Arrow raises ValueError if two fields of an Arrow struct have equal names.
         return [None] * len(array)
 
 
-def as_number(value: Any) -> float | None:
+def as_number(value: object) -> float | None:
     """Convert a value to a float; return None if the value is not a number."""
     return float(value) if isinstance(value, int | float) else None
 
 
 def is_list(kind: pa.DataType) -> bool:
     """Return whether an Arrow type is a list type."""
-    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+    return any(test(kind) for test in (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list))
 
 
 def is_component(field: pa.Field) -> bool:
@@ -97,8 +97,8 @@ def _is_convertible(kind: pa.DataType, wanted: pa.DataType) -> bool:
         sizes = {k.list_size for k in (kind, wanted) if pa.types.is_fixed_size_list(k)}
         return is_list(kind) and len(sizes) < 2 and _is_convertible(kind.value_type, wanted.value_type)
     if pa.types.is_string(wanted):
-        return pa.types.is_string(kind) or pa.types.is_large_string(kind)
-    return pa.types.is_integer(kind) or pa.types.is_floating(kind)
+        return any(test(kind) for test in (pa.types.is_string, pa.types.is_large_string))
+    return any(test(kind) for test in (pa.types.is_integer, pa.types.is_floating))
 
 
 def _nested_types(kind: pa.DataType) -> Iterator[pa.DataType]:

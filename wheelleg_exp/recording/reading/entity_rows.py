@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -101,7 +100,7 @@ class EntityRows:
         """Return the names of a Rerun entity's numbers; an empty list if the numbers have no names."""
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
-    def static(self, entity: str) -> dict[str, list[Any]]:
+    def static(self, entity: str) -> dict[str, list[object]]:
         """Return the static data of a Rerun entity by component; an empty dictionary if it has none."""
         path = entity.strip("/")
         if path not in self._statics:

@@ -20,6 +20,7 @@ from wheelleg_exp.recording.reading.entity_rows import SCALARS, EntityRows
 _NOT_NUMBERS = (layout.WORLD, layout.OVERLAY, layout.GROUND, layout.DOCUMENTS, layout.LOG)
 # A damaged recording can contain huge tables, so limit the number of columns and the length of column names.
 _WIDEST, _MOST, _LETTERS = 1 << 16, 1 << 20, 1 << 26
+Column = NDArray[np.int64] | NDArray[np.float64]
 _PART = re.compile(r"(?:\\.|[^/\\])+", re.DOTALL)
 
 
@@ -141,7 +142,7 @@ class _Timeline:
     ``rows`` maps each Rerun entity to the table rows that its values fill; None means all rows.
     """
 
-    columns: dict[str, NDArray]
+    columns: dict[str, Column]
     rows: dict[str, NDArray[np.int64] | None]
 
     def placed(self, entity: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -162,17 +163,17 @@ def _timeline(rows: EntityRows, entities: Sequence[str]) -> _Timeline:
         return _Timeline(first or {STEP: same}, dict.fromkeys(own))
     steps = np.unique(np.concatenate(list(keys.values())))
     places = {entity: np.searchsorted(steps, key) for entity, key in keys.items()}
-    columns: dict[str, NDArray] = {STEP: steps}
+    columns: dict[str, Column] = {STEP: steps}
     for name in (SIM_TIME, ITERATION):
         if all(name in times for times in own.values()):
-            columns[name] = np.empty(len(steps), dtype=first[name].dtype)
+            columns[name] = np.empty_like(first[name], shape=len(steps))
             for entity, times in own.items():
                 columns[name][places[entity]] = times[name]
     return _Timeline(columns, dict(places))
 
 
-def _times(rows: EntityRows, entity: str) -> dict[str, NDArray]:
-    table, found = rows.rows(entity), {}
+def _times(rows: EntityRows, entity: str) -> dict[str, Column]:
+    table, found = rows.rows(entity), dict[str, Column]()
     for name in TIMELINES:
         if name in table.column_names and table.column(name).null_count == 0:
             values = np.asarray(table.column(name).cast("int64"))

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -58,7 +58,7 @@ class Health:
             found.append(f"{self.damaged} of {self.messages} messages are damaged, and are left out")
         return found
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the state of a recording's file as a dictionary for JSON."""
         return {"is_whole": self.is_whole, **asdict(self), "lost": self.size - self.readable}
 

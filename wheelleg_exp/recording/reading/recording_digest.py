@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -46,27 +45,27 @@ def _digest(contents: Contents, entity: str) -> str:
         arrays += [(rows.column_names[i], rows.column(i).combine_chunks()) for i in places]
     for name, array in arrays:
         digest.update(f"{name}\0{array.type}\0{len(array)}\0".encode())
-        _update(digest, array)
+        _update(digest.update, array)
     return digest.hexdigest()
 
 
-def _update(digest: Any, array: pa.Array) -> None:
+def _update(update: Callable[[bytes], object], array: pa.Array) -> None:
     """Add the content of an array to a digest: the valid values, the lengths of lists, and the bytes of the values."""
     if isinstance(array, pa.ChunkedArray):
         array = pa.concat_arrays(array.chunks)
-    digest.update(np.asarray(array.is_valid()).tobytes())
+    update(np.asarray(array.is_valid()).tobytes())
     kind = array.type
     if is_list(kind):
-        digest.update(np.asarray(pc.fill_null(pc.list_value_length(array), 0), dtype=np.int64).tobytes())
-        _update(digest, array.flatten())
+        update(np.asarray(pc.fill_null(pc.list_value_length(array), 0), dtype=np.int64).tobytes())
+        _update(update, array.flatten())
     elif pa.types.is_struct(kind):
         for part in array.flatten():
-            _update(digest, part)
+            _update(update, part)
     elif pa.types.is_floating(kind) or pa.types.is_integer(kind):
-        digest.update(np.asarray(array.drop_null()).tobytes())
+        update(np.asarray(array.drop_null()).tobytes())
     elif pa.types.is_temporal(kind) and not pa.types.is_interval(kind):
-        digest.update(np.asarray(array.drop_null().cast(pa.int32() if kind.bit_width == 32 else pa.int64())).tobytes())
+        update(np.asarray(array.drop_null().cast(pa.int32() if kind.bit_width == 32 else pa.int64())).tobytes())
     else:
         for data in python_values(array.drop_null()):
             text = data if isinstance(data, bytes) else str(data).encode()
-            digest.update(len(text).to_bytes(8, "little") + text)
+            update(len(text).to_bytes(8, "little") + text)

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -61,7 +60,7 @@ def _events(entity: str, rows: EntityRows) -> Iterator[Event]:
         yield Event(kind, shown, env_id, step, time_s, iteration, str((level or ["INFO"])[0]))
 
 
-def _plain_value(value: Any) -> Any:
+def _plain_value(value: object) -> object:
     if isinstance(value, list):
         return [_plain_value(item) for item in value]
     if isinstance(value, dict):
@@ -134,9 +133,9 @@ class Recording(EntityRows):
         return str(text[0]) if text else None
 
     @cached_property
-    def properties(self) -> Mapping[str, Mapping[str, Any]]:
+    def properties(self) -> Mapping[str, Mapping[str, object]]:
         """The recording's properties by name: ``wheelleg``, ``robot``. A value stored as ``[5]`` becomes ``5``."""
-        found: dict[str, Mapping[str, Any]] = {}
+        found: dict[str, Mapping[str, object]] = {}
         for entity in self._contents.pieces:
             root, _, name = entity.partition("/")
             if root == layout.PROPERTIES:
@@ -159,8 +158,9 @@ class Recording(EntityRows):
         """The indices of the recorded environments; [0] if the recording does not state the indices."""
         stored = self.properties.get(OWN, {}).get("env_ids")
         ids = stored if isinstance(stored, list) else [stored]
-        if ids and len(ids) <= _MOST_ENVS and all(isinstance(i, int) and i >= 0 for i in ids):
-            return list(dict.fromkeys(ids))
+        known = [i for i in ids if isinstance(i, int) and i >= 0]
+        if ids and len(known) == len(ids) <= _MOST_ENVS:
+            return list(dict.fromkeys(known))
         if self.branches:
             return self.branches
         return [event.env_id for event in self.events() if event.env_id is not None][:1] or [0]

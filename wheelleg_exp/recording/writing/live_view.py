@@ -16,7 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import rerun as rr
 from rerun.chunk import Chunk, RrdReader
@@ -171,7 +171,7 @@ def free_port() -> int:
         return int(found.getsockname()[1])
 
 
-def main(words: list[Any]) -> None:
+def main(words: list[str]) -> None:
     """Send a growing recording to Rerun's viewer.
 
     ``words``: the recording's path, the folder of the viewer's layouts, and the command of a user-defined viewer.

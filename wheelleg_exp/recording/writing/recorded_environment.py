@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -24,16 +23,18 @@ from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, is_plane
 from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.state.tensor_trees import host_copy
 
-StaticEntities = Iterator[tuple[str, list[Any]]]
+StaticEntities = Iterator[tuple[str, list[rr.AsComponents]]]
 ROBOT = "robot"
 
 
-def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def own_facts(
+    env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, object]
+) -> dict[str, object]:
     """Return the recording's property ``wheelleg``: facts such as the seed and the duration of a control step.
 
     Entries of the dictionary ``given``, such as the run id, are added, and replace entries of equal name.
     """
-    found: dict[str, Any] = {
+    found = {
         "format_version": FORMAT_VERSION,
         "purpose": purpose,
         "seed": env.seed,
@@ -51,11 +52,11 @@ def own_facts(env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: M
     return {**found, **{key: value for key, value in given.items() if value is not None}}
 
 
-def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, Any]:
+def robot_facts(env: ManagerBasedRLEnv, layout: EnvLayout) -> dict[str, object]:
     """Return the property ``robot``: the robot's bodies and joints, its weight (N) and its height (m)."""
     robot, model = env.scene.robot, env.scene.model
     root = int(model.body(robot.body_names[0]).id)
-    facts: dict[str, Any] = {
+    facts = {
         "root": robot.body_names[0],
         "bodies": list(robot.body_names),
         "joints": list(robot.joint_names),
@@ -77,7 +78,7 @@ def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
     weights = [float(env.cfg["rewards"][name]["weight"]) for name in rewards]
     ends = env.termination_manager.active_terms
     over = [int(bool(env.termination_manager.get_term_cfg(name).fields.get("time_out", False))) for name in ends]
-    listed: dict[str, tuple[list[str], dict[str, Any]]] = {
+    listed: dict[str, tuple[list[str], Mapping[str, object]]] = {
         "rewards": (rewards, {"weights": weights}),
         "terminations": (ends, {"time_out": over}),
         "actions": (actions.active_terms, {"widths": actions.action_term_dim}),
@@ -85,7 +86,7 @@ def term_statics(env: ManagerBasedRLEnv, paths: EnvPaths) -> StaticEntities:
     }
     for name, (terms, values) in listed.items():
         if terms:
-            yield paths.data(name), [rr.AnyValues(terms=list(terms), **values)]
+            yield paths.data(name), [rr.AnyValues(True, terms=list(terms), **values)]
 
 
 def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> StaticEntities:
@@ -97,12 +98,12 @@ def joint_statics(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> Stati
         gains = torch.stack((actuator.stiffness[env_id], actuator.damping[env_id]), dim=1).tolist()
         drives.update(zip(actuator.joint_names, map(tuple, gains), strict=True))
     for i, joint in enumerate(robot.joint_names):
-        values: dict[str, Any] = {"effort_limit": float(data.joint_effort_limits[env_id, i])}
+        values = {"effort_limit": float(data.joint_effort_limits[env_id, i])}
         values["velocity_limit"] = float(data.soft_joint_vel_limits[env_id, i])
         values["position_low"], values["position_high"] = data.joint_pos_limits[env_id, i].tolist()
         values["default_position"] = float(data.default_joint_pos[env_id, i])
         values["stiffness"], values["damping"] = drives.get(joint, (math.nan, math.nan))
-        yield paths.data("joints", joint), [rr.AnyValues(**values)]
+        yield paths.data("joints", joint), [rr.AnyValues(True, **values)]
     yield paths.data("state"), [rr.AnyValues(origin=env.scene.env_origins[env_id].tolist())]
 
 
@@ -276,7 +277,7 @@ class RecordedEnvironment:
             yield self.paths.data("contacts", contact.sensor), [series(names)]
 
 
-def series(names: Any, first: int = 0) -> Any:
+def series(names: Sequence[str], first: int = 0) -> rr.SeriesLines:
     """Return Rerun's ``SeriesLines`` with a name and a colour for each line in a plot of the viewer.
 
     Commands and targets have paler colours than measured values.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -22,7 +21,7 @@ from wheelleg_exp.state.tensor_trees import host_copy
 
 EPISODES, EVENTS, RECORDING = "episodes", "events", "recording"
 _ITERATIONS_PER_CHUNK = 10
-Columns = tuple[str, list[Stamp], Any]
+Columns = tuple[str, list[Stamp], rr.ComponentColumnList]
 
 
 class EventLog:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from operator import attrgetter
 
 import mujoco
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
@@ -18,6 +20,7 @@ from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.state.tensor_trees import host_copy
 
+Read = Callable[[], ArrayLike]
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")
 _FIRST_CAPACITY = 256
 _GRAVITY = ("g_x", "g_y", "g_z")
@@ -35,7 +38,7 @@ class Channel:
 
     key: str
     names: tuple[str, ...]
-    read: Callable[[], Any]
+    read: Read
     entities: tuple[str, ...]
 
 
@@ -56,12 +59,12 @@ def velocity_command(env: ManagerBasedRLEnv) -> str | None:
     return next(names, None)
 
 
-def one(key: str, entity: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+def one(key: str, entity: str, names: Sequence[str], read: Read) -> Channel:
     """Return a ``Channel`` that stores all its numbers in one Rerun entity, at the path ``entity``."""
     return Channel(key, tuple(names), read, (entity,))
 
 
-def row(read: Callable[[], torch.Tensor], env_id: int) -> Callable[[], Any]:
+def row(read: Callable[[], torch.Tensor], env_id: int) -> Read:
     """Return a function that calls ``read`` and returns the row of environment ``env_id`` as a flat array."""
     return lambda: host_copy(read()[env_id]).ravel()
 
@@ -70,7 +73,7 @@ def _base(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]
     data, model = env.scene.robot.data, env.scene.model
     qpos, qvel = (env.scene.sim.view(name)[env_id] for name in ("qpos", "qvel"))
 
-    def split(key: str, names: Sequence[str], read: Callable[[], Any]) -> Channel:
+    def split(key: str, names: Sequence[str], read: Read) -> Channel:
         return Channel(key, tuple(names), read, tuple(paths.data("base", name) for name in names))
 
     return [
@@ -98,7 +101,7 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
     velocity, found = velocity_command(env), []
     for name in env.command_manager.active_terms:
         term = env.command_manager.get_term(name)
-        read = row(lambda term=term: term.command, env_id)  # type: ignore[misc]
+        read = row(partial(attrgetter("command"), term), env_id)
         if name == velocity:
             # Use one Rerun entity per component, so that one plot shows a commanded velocity with the measured one.
             names = tuple(f"{part} command" for part in VELOCITY_NAMES)
@@ -112,19 +115,19 @@ def _commands(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
 
 def _joints(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Channel]:
     data, names = env.scene.robot.data, env.scene.robot.joint_names
-    reads: dict[str, Callable[[], torch.Tensor]] = {
-        "position": lambda: data.joint_pos,
-        "position_target": lambda: data.joint_pos_target,
-        "velocity": lambda: data.joint_vel,
-        "velocity_target": lambda: data.joint_vel_target,
-        "effort": lambda: data.applied_torque,
-        "effort_computed": lambda: data.computed_torque,
+    fields = {
+        "position": "joint_pos",
+        "position_target": "joint_pos_target",
+        "velocity": "joint_vel",
+        "velocity_target": "joint_vel_target",
+        "effort": "applied_torque",
+        "effort_computed": "computed_torque",
     }
     found = []
-    for kind, read in reads.items():
+    for kind, field in fields.items():
         shown = tuple(f"{name} target" if kind.endswith("target") else name for name in names)
         entities = tuple(paths.data("joints", name, kind) for name in names)
-        found.append(Channel(f"joints/{kind}", shown, row(read, env_id), entities))
+        found.append(Channel(f"joints/{kind}", shown, row(partial(getattr, data, field), env_id), entities))
     return found
 
 
@@ -133,9 +136,9 @@ def _contacts(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chan
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, ContactSensor):
             names = [f"{body}.{axis}" for body in sensor.body_names for axis in "xyz"]
-            read = row(lambda sensor=sensor: sensor.data.net_forces_w, env_id)  # type: ignore[misc]
+            read = row(partial(attrgetter("data.net_forces_w"), sensor), env_id)
             found.append(one(f"contacts/{name}", paths.data("contacts", name, "forces"), names, read))
-            peak = row(lambda sensor=sensor: sensor.max_force_norm(), env_id)  # type: ignore[misc]
+            peak = row(sensor.max_force_norm, env_id)
             found.append(one(f"peak/{name}", paths.data("contacts", name, "peak"), sensor.body_names, peak))
     return found
 
@@ -202,7 +205,7 @@ def _actions(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[Chann
     raw = {name: term.action_dim for name, term in terms.items()}
     processed = {name: int(term.processed_actions.shape[1]) for name, term in terms.items()}
 
-    def processed_actions() -> Any:
+    def processed_actions() -> ArrayLike:
         parts = [host_copy(term.processed_actions[env_id]) for term in terms.values()]
         return np.concatenate(parts) if parts else []
 
@@ -233,10 +236,10 @@ def _observations(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths) -> list[
     return found
 
 
-def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, width: int) -> Callable[[], Any]:
+def _observation(env: ManagerBasedRLEnv, env_id: int, group: str, term: str, width: int) -> Read:
     manager, nothing = env.observation_manager, np.full(width, np.nan)
 
-    def read() -> Any:
+    def read() -> ArrayLike:
         value = manager.obs_buf.get(group)
         if value is None:
             return nothing

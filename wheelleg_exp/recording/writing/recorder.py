@@ -6,10 +6,11 @@ from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from wheelleg_exp.config.checking.check_terms import recorded_errors
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -62,7 +63,7 @@ class Recorder:
         name: str,
         env_ids: Sequence[int],
         purpose: Purpose,
-        about: Mapping[str, Any] | None = None,
+        about: Mapping[str, object] | None = None,
         keep_until: int | None = None,
         flush_every: int | None = None,
     ) -> None:
@@ -101,7 +102,7 @@ class Recorder:
     def _static_bytes(self) -> float:
         # Return an upper bound for the bytes of a recording's shapes, texts, and names.
         model, environments = self._env.scene.model, len(self._environments)
-        return environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS
+        return float(environments * (_FACE * model.nmeshface + _CELL * model.nhfielddata) + _TEXTS)
 
     def _frame_bytes(self) -> float:
         return sum(recorded.frame_bytes(ROWS_TOGETHER) for recorded in self._environments)
@@ -218,7 +219,7 @@ class Recorder:
         """The reason why the closed recording has no index, such as a full disk; None if there is no such reason."""
         return self._file.unfinished
 
-    def blueprint(self) -> Any:
+    def blueprint(self) -> rrb.Blueprint:
         """Return a layout of Rerun's viewer that shows all data that has been recorded so far."""
         layouts, purpose, documents, training = self.layout_state()
         return blueprint(layouts, purpose, documents=documents, training=training)

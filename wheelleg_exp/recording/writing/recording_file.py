@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
@@ -36,7 +36,7 @@ class RecordingFile:
         # The viewer merges recordings with equal ids, and two runs can write folders of one name within a second.
         self._recording_id = f"{recording_id}_{hashlib.sha256(os.fsencode(os.path.realpath(path))).hexdigest()[:8]}"
         self._chunks: list[Chunk] = []
-        self._blueprint: Any = None
+        self._blueprint: rrb.Blueprint | None = None
         self._written = temporary_name(path) if aside else path
         # Raise an error for an existing file, so that two recorders never write to the same file.
         with for_people(self._written):
@@ -51,20 +51,19 @@ class RecordingFile:
         self.static(PROPERTIES, rr.archetypes.RecordingInfo(name=name))
         self.flush()
 
-    def static(self, entity: str, *archetypes: Any) -> None:
+    def static(self, entity: str, *archetypes: rr.AsComponents) -> None:
         """Add static data (Rerun archetypes) of a Rerun entity."""
         columns = {}
         for archetype in archetypes:
-            batches = archetype.as_component_batches() if hasattr(archetype, "as_component_batches") else archetype
-            for batch in batches:
+            for batch in archetype.as_component_batches():
                 columns[batch.component_descriptor().component] = batch.partition([len(batch.as_arrow_array())])
         self._chunks.append(Chunk.from_columns(entity, [], columns.values()))
 
-    def property(self, name: str, values: dict[str, Any]) -> None:
+    def property(self, name: str, values: Mapping[str, object]) -> None:
         """Store the dictionary ``values`` in the recording as a property with the given name."""
-        self.static(join(PROPERTIES, name), rr.AnyValues(**values))
+        self.static(join(PROPERTIES, name), rr.AnyValues(True, **values))
 
-    def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: Iterable[Any]) -> None:
+    def columns(self, entity: str, times: Sequence[rr.TimeColumn], columns: rr.ComponentColumnList) -> None:
         """Add rows of a Rerun entity: columns of Rerun components with their timelines."""
         self._chunks.append(Chunk.from_columns(entity, times, columns))
 
@@ -72,7 +71,7 @@ class RecordingFile:
         """Add chunks of another recording."""
         self._chunks += chunks
 
-    def blueprint(self, blueprint: Any) -> None:
+    def blueprint(self, blueprint: rrb.Blueprint) -> None:
         """Set the default layout of Rerun's viewer for a recording."""
         self._blueprint = blueprint
 

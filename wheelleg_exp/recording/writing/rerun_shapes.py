@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -52,65 +51,47 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
     return model.geom(geom).name or f"geom_{geom}"
 
 
-def shape(model: mujoco.MjModel, geom: int) -> list[Any]:
+def shape(model: mujoco.MjModel, geom: int) -> list[rr.AsComponents]:
     """Return Rerun's archetypes of a MuJoCo geom in its body's frame; [] for a plane or signed distance field.
 
     MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a Rerun capsule
     is the centre of one cap, at half the capsule's length along the geom's z axis.
     """
-    make = _SHAPES.get(mujoco.mjtGeom(int(model.geom_type[geom])))
-    return [] if make is None else make(model, geom)
-
-
-def _common(model: mujoco.MjModel, geom: int) -> dict[str, Any]:
-    return {"quaternions": [xyzw(model.geom_quat[geom])], "colors": [colour(model, geom)], "fill_mode": "solid"}
-
-
-def _box(model: mujoco.MjModel, geom: int) -> list[Any]:
-    return [rr.Boxes3D(half_sizes=[model.geom_size[geom]], centers=[model.geom_pos[geom]], **_common(model, geom))]
-
-
-def _ellipsoid(model: mujoco.MjModel, geom: int) -> list[Any]:
-    size = model.geom_size[geom]
-    half = np.full(3, size[0]) if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE else size
-    return [rr.Ellipsoids3D(half_sizes=[half], centers=[model.geom_pos[geom]], **_common(model, geom))]
-
-
-def _cylinder(model: mujoco.MjModel, geom: int) -> list[Any]:
-    radius, half_length = model.geom_size[geom][:2]
-    centre = model.geom_pos[geom]
-    return [rr.Cylinders3D(lengths=[2 * half_length], radii=[radius], centers=[centre], **_common(model, geom))]
-
-
-def _capsule(model: mujoco.MjModel, geom: int) -> list[Any]:
-    radius, half_length = model.geom_size[geom][:2]
-    axis = np.zeros(3)
-    mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
-    origin = model.geom_pos[geom] - half_length * axis
-    return [rr.Capsules3D(lengths=[2 * half_length], radii=[radius], translations=[origin], **_common(model, geom))]
-
-
-def _mesh(model: mujoco.MjModel, geom: int) -> list[Any]:
-    surface = mesh(model, geom)
-    drawn: dict[str, Any] = {"vertex_positions": surface.vertices, "vertex_normals": surface.normals}
-    pose = rr.InstancePoses3D(translations=[model.geom_pos[geom]], quaternions=[xyzw(model.geom_quat[geom])])
-    return [rr.Mesh3D(**drawn, triangle_indices=surface.faces, albedo_factor=colour(model, geom)), pose]
-
-
-_SHAPES = {
-    mujoco.mjtGeom.mjGEOM_BOX: _box,
-    mujoco.mjtGeom.mjGEOM_SPHERE: _ellipsoid,
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: _ellipsoid,
-    mujoco.mjtGeom.mjGEOM_CYLINDER: _cylinder,
-    mujoco.mjtGeom.mjGEOM_CAPSULE: _capsule,
-    mujoco.mjtGeom.mjGEOM_MESH: _mesh,
-    mujoco.mjtGeom.mjGEOM_HFIELD: _mesh,
-}
+    kind, place, turn = int(model.geom_type[geom]), model.geom_pos[geom], [xyzw(model.geom_quat[geom])]
+    size, shade, types = model.geom_size[geom], [colour(model, geom)], mujoco.mjtGeom
+    if kind in (types.mjGEOM_MESH, types.mjGEOM_HFIELD):
+        corners, faces, normals = mesh(model, geom)
+        surface = rr.Mesh3D(
+            vertex_positions=corners, triangle_indices=faces, vertex_normals=normals, albedo_factor=shade[0]
+        )
+        return [surface, rr.InstancePoses3D(translations=[place], quaternions=turn)]
+    if kind == types.mjGEOM_BOX:
+        return [rr.Boxes3D(half_sizes=[size], centers=[place], quaternions=turn, colors=shade, fill_mode="solid")]
+    if kind in (types.mjGEOM_SPHERE, types.mjGEOM_ELLIPSOID):
+        half = np.full(3, size[0]) if kind == types.mjGEOM_SPHERE else size
+        return [rr.Ellipsoids3D(half_sizes=[half], centers=[place], quaternions=turn, colors=shade, fill_mode="solid")]
+    lengths, radii = [2 * size[1]], [size[0]]
+    if kind == types.mjGEOM_CYLINDER:
+        return [
+            rr.Cylinders3D(
+                lengths=lengths, radii=radii, centers=[place], quaternions=turn, colors=shade, fill_mode="solid"
+            )
+        ]
+    if kind == types.mjGEOM_CAPSULE:
+        axis = np.zeros(3)
+        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
+        cap = [place - size[1] * axis]
+        return [
+            rr.Capsules3D(
+                lengths=lengths, radii=radii, translations=cap, quaternions=turn, colors=shade, fill_mode="solid"
+            )
+        ]
+    return []
 
 
 COMMANDED, ACTUAL, FORCE = (60, 200, 90), (70, 130, 255), (255, 170, 40)
 ANGLES = ("roll", "pitch", "yaw")
-Columns = tuple[str, Any]
+Columns = tuple[str, rr.ComponentColumnList]
 Blocks = Mapping[str, Array]
 
 
@@ -125,7 +106,7 @@ def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
                 yield entity, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
 
 
-def vector_columns(rows: Array) -> Any:
+def vector_columns(rows: Array) -> rr.ComponentColumnList:
     """Convert an array (n, width) to n vectors in the column format of Rerun's SDK."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
@@ -204,7 +185,7 @@ class Ground:
     tiles: int
     origin: Array
 
-    def mesh(self, light: Sequence[int], dark: Sequence[int]) -> Any:
+    def mesh(self, light: Sequence[int], dark: Sequence[int]) -> rr.Mesh3D:
         """Return the mesh of the checkered ground below the robot, with the origin at the centre of the mesh."""
         i, j = (axis.ravel() for axis in np.meshgrid(np.arange(self.tiles), np.arange(self.tiles)))
         corner = np.stack((i, j), axis=1) - self.tiles / 2
@@ -214,8 +195,10 @@ class Ground:
         triangles = np.concatenate((first + np.array([0, 1, 2]), first + np.array([0, 2, 3])))
         shades = np.where(((i + j) % 2 == 0)[:, None], light, dark).astype(np.uint8)
         corners, normals = np.column_stack((flat, np.zeros(len(flat)))), np.tile([0.0, 0.0, 1.0], (len(flat), 1))
-        drawn: dict[str, Any] = {"vertex_normals": normals, "vertex_colors": np.repeat(shades, 4, axis=0)}
-        return rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, **drawn)
+        colours = np.repeat(shades, 4, axis=0)
+        return rr.Mesh3D(
+            vertex_positions=corners, triangle_indices=triangles, vertex_normals=normals, vertex_colors=colours
+        )
 
     def columns(self, blocks: Blocks) -> Iterator[Columns]:
         """Yield the ground patch's position: a multiple of two tiles near the base, so that colours do not flip."""
