@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
+
+if TYPE_CHECKING:
+    import mujoco
 
 Layer = Literal["colour", "depth", "geom"]
 # ``FORMS`` maps each picture layer to its channels per pixel and its data type, such as 3 and uint8 for colour.
@@ -24,7 +28,7 @@ _HIDDEN = 5  # The renderer draws no geoms of geom group 5.
 class CameraOrder:
     """A request to draw the view of a camera sensor: the picture's size, px, and the camera's clipping range, m."""
 
-    model: Any
+    model: mujoco.MjModel
     camera: str
     width: int
     height: int
@@ -62,7 +66,7 @@ def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
 
 
 class _Draw:
-    def __init__(self, renderer: Any, model: Any, order: CameraOrder) -> None:
+    def __init__(self, renderer: mujoco.Renderer, model: mujoco.MjModel, order: CameraOrder) -> None:
         import mujoco
 
         self._renderer, self._model, self._order = renderer, model, order
@@ -71,7 +75,7 @@ class _Draw:
         self._option.sitegroup[:] = 0
         self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
 
-    def __call__(self, qpos: Array) -> list[np.ndarray[Any, Any]]:
+    def __call__(self, qpos: Array) -> list[NDArray[np.generic]]:
         import mujoco
 
         self._data.qpos[:] = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
@@ -83,18 +87,18 @@ class _Draw:
             self._renderer.update_scene(self._data, self._order.camera, self._option)
         return [getattr(self, layer)() for layer in self._order.layers]
 
-    def colour(self) -> np.ndarray[Any, Any]:
+    def colour(self) -> NDArray[np.uint8]:
         self._renderer.disable_depth_rendering()
         self._renderer.disable_segmentation_rendering()
         return np.asarray(self._renderer.render())
 
-    def depth(self) -> np.ndarray[Any, Any]:
+    def depth(self) -> NDArray[np.float32]:
         self._renderer.enable_depth_rendering()
         far = self._order.clipping_range[1]
         depth = np.asarray(self._renderer.render())
         return np.where(depth < _BEYOND * far, depth, np.float32(np.inf))
 
-    def geom(self) -> np.ndarray[Any, Any]:
+    def geom(self) -> NDArray[np.int32]:
         import mujoco
 
         self._renderer.enable_segmentation_rendering()

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array, Scene
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ def _prepare(order: Order) -> Iterator[Callable[[View], bytes]]:
         yield lambda view: _draw(view, renderer, model, data).tobytes()
 
 
-def _draw(view: View, renderer: Any, model: Any, data: Any) -> np.ndarray[Any, Any]:
+def _draw(view: View, renderer: mujoco.Renderer, model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.uint8]:
     import mujoco
 
     data.mocap_pos[0] = view.lookat

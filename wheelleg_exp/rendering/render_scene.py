@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,8 @@ class Shape:
             half = np.asarray(self.size if len(self.size) == 3 else (self.size[0], self.size[0], tall))
             low, high = -half, half
         signs = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
-        return rotated(self.quat, np.where(signs == 1, high, low)) + np.asarray(self.pos)
+        corners: Array = rotated(self.quat, np.where(signs == 1, high, low)) + np.asarray(self.pos)
+        return corners
 
 
 def rotated(quat: Sequence[float] | Array, vectors: Array) -> Array:
@@ -50,7 +50,7 @@ def rotated(quat: Sequence[float] | Array, vectors: Array) -> Array:
     return np.asarray(vectors + 2 * (w * cross + np.cross(axis, cross)))
 
 
-def moved(shape: Shape, offset: Any) -> Shape:
+def moved(shape: Shape, offset: ArrayLike) -> Shape:
     """Return a copy of ``shape``, moved by ``offset`` (3,), m."""
     return replace(shape, pos=tuple((np.asarray(shape.pos) + np.asarray(offset)).tolist()))
 

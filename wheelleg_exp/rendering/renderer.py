@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,11 @@ class NoGraphics(WheellegError):
 class GraphicsWorker(Worker):
     """A child process that draws with a graphics driver; MuJoCo writes its log file into ``folder``."""
 
-    def __init__(self, module: str, order: Any, backend: str, errors: IO[bytes], folder: Path) -> None:
+    def __init__(self, module: str, order: object, backend: str, errors: IO[bytes], folder: Path) -> None:
         super().__init__(module, order, _environment(backend), errors, folder)
         self.backend = backend
 
-    def ask(self, request: Any, count: int) -> bytes:
+    def ask(self, request: object, count: int) -> bytes:
         """Return ``count`` bytes from the worker process; raise SimulationFailure if its graphics driver failed."""
         data = super().ask(request, count)
         if len(data) != count:
@@ -73,7 +73,7 @@ def drawing(order: Order) -> Iterator[Drawing]:
 
 
 @contextmanager
-def working(module: str, order: Any) -> Iterator[GraphicsWorker]:
+def working(module: str, order: object) -> Iterator[GraphicsWorker]:
     """Yield a worker with a working graphics driver; if no driver works, raise NoGraphics with packages to install."""
     with tempfile.TemporaryDirectory(prefix="wheelleg-") as folder, tempfile.TemporaryFile() as errors:
         reasons = []

@@ -6,7 +6,7 @@ body, the floor is checkered, and a light follows the robot.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -66,7 +66,7 @@ def colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
     material = int(model.geom_matid[geom])
     if material >= 0 and np.allclose(rgba, _DEFAULT_RGBA):
         rgba = model.mat_rgba[material]
-    return np.round(np.clip(rgba, 0.0, 1.0) * 255).astype(np.uint8)
+    return np.asarray(np.round(np.clip(rgba, 0.0, 1.0) * 255), dtype=np.uint8)
 
 
 def is_plane(model: mujoco.MjModel, geom: int) -> bool:
@@ -192,7 +192,7 @@ def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.M
     return spec.compile()
 
 
-def _look(spec: Any, size: float, width: int, height: int, samples: int) -> None:
+def _look(spec: mujoco.MjSpec, size: float, width: int, height: int, samples: int) -> None:
     spec.stat.extent = 2.5 * size
     spec.stat.center = [0.0, 0.0, 0.0]
     visual = spec.visual
@@ -212,7 +212,7 @@ def _look(spec: Any, size: float, width: int, height: int, samples: int) -> None
     )  # fmt: skip
 
 
-def _floor(spec: Any, height: float, tile: float) -> None:
+def _floor(spec: mujoco.MjSpec, height: float, tile: float) -> None:
     texture = spec.add_texture(
         name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
@@ -226,18 +226,16 @@ def _floor(spec: Any, height: float, tile: float) -> None:
     )  # fmt: skip
 
 
-def _add(spec: Any, body: Any, shape: Shape, name: str) -> None:
-    fields: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
-    if shape.kind == "mesh":
-        if not _add_mesh(spec, shape, name):
-            return
-        fields["meshname"] = name
-    else:
-        fields["size"] = [*(max(float(part), 1e-6) for part in shape.size), 0.0, 0.0][:3]
-    body.add_geom(type=_KINDS[shape.kind], pos=shape.pos, quat=shape.quat, rgba=shape.rgba, **fields)
+def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, name: str) -> None:
+    if shape.kind == "mesh" and not _add_mesh(spec, shape, name):
+        return
+    size = [*(max(float(part), 1e-6) for part in shape.size), 0.0, 0.0][:3]
+    form: dict[str, object] = {"meshname": name} if shape.kind == "mesh" else {"size": size}
+    place, style = {"pos": shape.pos, "quat": shape.quat}, {"rgba": shape.rgba, "contype": 0, "conaffinity": 0}
+    body.add_geom(type=_KINDS[shape.kind], **form, **place, **style, mass=0.0)
 
 
-def _add_mesh(spec: Any, shape: Shape, name: str) -> bool:
+def _add_mesh(spec: mujoco.MjSpec, shape: Shape, name: str) -> bool:
     """Add a mesh to a MuJoCo model as an open shell, because a terrain has no volume. Skip a mesh without area."""
     if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
         return False

@@ -6,13 +6,17 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import for_people, require_new
+
+if TYPE_CHECKING:
+    from av import VideoStream
+    from av.container import OutputContainer
 
 KINDS = {".mp4": "mp4", ".mkv": "matroska", ".mov": "mov"}
 _CODECS = ("libx264", "h264", "libopenh264", "mpeg4")
@@ -56,7 +60,7 @@ def write(
     return codec
 
 
-def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str]:
+def _stream(container: OutputContainer, fps: float, size: tuple[int, int]) -> tuple[VideoStream, str]:
     """Return a stream of H.264 video, or of MPEG-4 video if PyAV has no H.264 encoder, and the name of the codec."""
     import av
 
@@ -67,6 +71,7 @@ def _stream(container: Any, fps: float, size: tuple[int, int]) -> tuple[Any, str
             stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
         except (ValueError, av.FFmpegError):  # `av.codecs_available` also lists codecs without an encoder.
             continue
+        assert isinstance(stream, av.VideoStream)
         stream.width, stream.height = size
         stream.pix_fmt = "yuv420p"
         stream.options = dict(_QUALITY) if codec == "libx264" else {}
