@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import inspect
 import sys
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -24,8 +25,9 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.isaaclab_attributes import Simulation
 from wheelleg_exp.isaaclab import managers, markers
 from wheelleg_exp.isaaclab.utils import math
+from wheelleg_exp.managers import Env, SceneEntityCfg
 from wheelleg_exp.mdp import modifiers, noise, observations
-from wheelleg_exp.mdp.events.randomization import operate
+from wheelleg_exp.mdp.events.randomization import Operation, operate
 from wheelleg_exp.sim import actuators, sensors
 from wheelleg_exp.sim.articulation_data import ArticulationData
 from wheelleg_exp.sim.robot import Robot
@@ -41,27 +43,28 @@ _MARKERS = (
 _MODULES_OF_MANAGERS = ("action_manager", "command_manager", "manager_base", "manager_term_cfg", "scene_entity_cfg")
 
 
-def _public(module: ModuleType) -> dict[str, Any]:
+def _public(module: ModuleType) -> dict[str, object]:
     own = f"{module.__name__}."
     names = {n: v for n, v in vars(module).items() if not n.startswith("_") and not isinstance(v, ModuleType)}
     return {n: v for n, v in names.items() if f"{getattr(v, '__module__', module.__name__)}.".startswith(own)}
 
 
-def _with_isaac_labs_parameters(stock: Any) -> Any:
+def _with_isaac_labs_parameters(stock: object) -> object:
     """Return a stock event that terms can call with Isaac Lab's parameters, which have no ``generator``.
 
     The event draws from torch's global generator, which is the random stream of the calling term. The result is a
     function, also for the stock events that are functions in Isaac Lab, but classes here.
     """
-    parameters = list(inspect.signature(stock).parameters) if callable(stock) else []
     is_class = inspect.isclass(stock)
-    is_class_there = is_class and stock.__name__.startswith("randomize_")
-    if parameters[:1] != ["env"] or "generator" not in parameters or is_class_there:
+    if not callable(stock) or (inspect.isclass(stock) and stock.__name__.startswith("randomize_")):
+        return stock
+    parameters = list(inspect.signature(stock).parameters)
+    if parameters[:1] != ["env"] or "generator" not in parameters:
         return stock
     names = [name for name in parameters if name not in ("env", "env_ids", "generator")]
 
     @functools.wraps(stock, updated=() if is_class else ("__dict__",))
-    def event(env: Any, env_ids: Any, *values: Any, **settings: Any) -> None:
+    def event(env: Env, env_ids: torch.Tensor | Sequence[int] | None, *values: Any, **settings: Any) -> None:
         env_ids = None if env_ids is None else torch.as_tensor(env_ids, device=env.device)
         settings |= dict(zip(names[: len(values)], values, strict=True))
         if "generator" not in settings:
@@ -77,12 +80,17 @@ def _with_isaac_labs_parameters(stock: Any) -> Any:
 
 
 @functools.wraps(observations.joint_pos_limit_normalized, updated=())
-def _joint_pos_limit_normalized(env: Any, asset_cfg: Any = managers.SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
+def _joint_pos_limit_normalized(env: Env, asset_cfg: SceneEntityCfg = SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
     return observations.joint_pos_limit_normalized(env, asset_cfg)(env)
 
 
 def _randomize_prop_by_op(
-    data: torch.Tensor, distribution_parameters: Any, dim_0_ids: Any, dim_1_ids: Any, operation: Any, distribution: str
+    data: torch.Tensor,
+    distribution_parameters: tuple[math.Bound, math.Bound],
+    dim_0_ids: torch.Tensor | None,
+    dim_1_ids: torch.Tensor | slice,
+    operation: Operation,
+    distribution: str,
 ) -> torch.Tensor:
     """Change rows and columns of ``data`` by drawn values: a private function of Isaac Lab that many events call."""
     sample = getattr(math, f"sample_{distribution}")
@@ -93,7 +101,7 @@ def _randomize_prop_by_op(
     return data
 
 
-def _generic_io_descriptor(function: Any = None, **_: Any) -> Any:
+def _generic_io_descriptor(function: object = None, **_: object) -> object:
     """Return a term unchanged: descriptions of observations are not exported."""
     return function if callable(function) else _generic_io_descriptor
 
@@ -112,7 +120,7 @@ _ENVS = dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEn
 _SENSORS = {**_public(sensors), "TiledCamera": sensors.Camera}
 _MANAGERS = {name: value for name, value in vars(managers).items() if not name.startswith("_")}
 # Each entry of ``_MODULES`` defines a module: path, docstring, and members. A package precedes its modules.
-_MODULES: dict[str, tuple[str, dict[str, Any]]] = {
+_MODULES: dict[str, tuple[str, Mapping[str, object]]] = {
     **{name: ("The actuator models.", _public(actuators)) for name in ("actuators", "actuators.actuator_pd")},
     "assets": ("The robot.", {**_ROBOT, **_BODY, "AssetBase": Robot, "RigidObjectCollection": Robot}),
     "assets.articulation": ("The robot.", _ROBOT),
@@ -140,7 +148,7 @@ _MODULES: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-def make_modules(package: str, modules: dict[str, tuple[str, dict[str, Any]]]) -> None:
+def make_modules(package: str, modules: Mapping[str, tuple[str, Mapping[str, object]]]) -> None:
     """Create the modules of ``package`` that ``modules`` defines, and make them importable by their dotted paths."""
     for path, (doc, members) in modules.items():
         module = ModuleType(f"{package}.{path}", doc)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from wheelleg_exp.state import Kept
 
 __path__: list[str] = []  # ``isaaclab`` makes the module ``markers.config``
@@ -12,10 +10,10 @@ __path__: list[str] = []  # ``isaaclab`` makes the module ``markers.config``
 class VisualizationMarkersCfg(Kept):
     """The settings of markers. Any settings are accepted, but have no effect."""
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, **settings: object) -> None:
         vars(self).update(settings)
 
-    def replace(self, **settings: Any) -> VisualizationMarkersCfg:
+    def replace(self, **settings: object) -> VisualizationMarkersCfg:
         """Return a copy with other settings."""
         return VisualizationMarkersCfg(**{**vars(self), **settings})
 
@@ -27,7 +25,7 @@ class VisualizationMarkersCfg(Kept):
 class VisualizationMarkers(Kept):
     """Markers that are never drawn."""
 
-    def __init__(self, cfg: Any = None) -> None:
+    def __init__(self, cfg: object = None) -> None:
         self.cfg = cfg
 
     def set_visibility(self, visible: bool) -> None:
@@ -37,5 +35,5 @@ class VisualizationMarkers(Kept):
         """Return False."""
         return False
 
-    def visualize(self, *args: Any, **kwargs: Any) -> None:
+    def visualize(self, *args: object, **kwargs: object) -> None:
         """Do nothing."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -23,7 +22,7 @@ class CircularBuffer(Stateful):
         device: device of the samples.
     """
 
-    def __init__(self, max_len: int, batch_size: int, device: Any) -> None:
+    def __init__(self, max_len: int, batch_size: int, device: torch.device | str) -> None:
         if max_len < 1:
             raise ValueError(f"max_len is {max_len}, expected at least 1")
         self.max_length, self.batch_size, self.device = max_len, batch_size, device
@@ -86,7 +85,7 @@ class DelayBuffer(Stateful):
         device: device of the samples.
     """
 
-    def __init__(self, history_length: int, batch_size: int, device: Any) -> None:
+    def __init__(self, history_length: int, batch_size: int, device: torch.device | str) -> None:
         self.history_length, self.batch_size, self.device = max(0, history_length), batch_size, device
         self._buffer = CircularBuffer(self.history_length + 1, batch_size, device)
         self.time_lags = torch.zeros(batch_size, dtype=torch.int, device=device)

@@ -7,22 +7,27 @@ TorchScript can compile the functions that Isaac Lab compiles.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Literal, TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors.cameras import Convention, convert_convention
 
 wrap_to_pi = rotation.wrap_to_pi
+Quaternions = TypeVar("Quaternions", torch.Tensor, NDArray[np.float64])
+_broadcast: Callable[..., tuple[torch.Tensor, ...]] = torch.broadcast_tensors  # without annotations in torch
 SMALL = 1e-6  # Below ``SMALL`` (rad), formulas do not divide by the angle, but use an approximation.
 
 
 def cross(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Return cross products of vectors, whose leading dimensions are broadcast."""
-    first, second = torch.broadcast_tensors(a, b)
-    return torch.linalg.cross(first, second)
+    first, second = _broadcast(a, b)
+    product: torch.Tensor = torch.linalg.cross(first, second)
+    return product
 
 
 def normalize(x: torch.Tensor, eps: float = 1e-9) -> torch.Tensor:
@@ -118,7 +123,8 @@ def quat_box_plus(q: torch.Tensor, delta: torch.Tensor, eps: float = SMALL) -> t
 
 def quat_error_magnitude(q1: torch.Tensor, q2: torch.Tensor) -> torch.Tensor:
     """Return the angles (...) between pairs of rotations."""
-    return torch.linalg.vector_norm(quat_box_minus(q1, q2), dim=-1)
+    angles: torch.Tensor = torch.linalg.vector_norm(quat_box_minus(q1, q2), dim=-1)
+    return angles
 
 
 def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
@@ -131,7 +137,7 @@ def quat_slerp(q1: torch.Tensor, q2: torch.Tensor, tau: float) -> torch.Tensor:
     return torch.where(angle < 1e-4, line, arc)
 
 
-def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
+def convert_quat(quat: Quaternions, to: Literal["xyzw", "wxyz"] = "xyzw") -> Quaternions:
     """Convert quaternions (tensor or array) between the orders xyzw and wxyz."""
     if quat.shape[-1] != 4 or to not in ("xyzw", "wxyz"):
         raise ValueError(f"expected quaternions (..., 4) and to='xyzw' or 'wxyz', not {tuple(quat.shape)} and {to!r}")
@@ -141,7 +147,7 @@ def convert_quat(quat: Any, to: Literal["xyzw", "wxyz"] = "xyzw") -> Any:
 
 def quat_from_euler_xyz(roll: torch.Tensor, pitch: torch.Tensor, yaw: torch.Tensor) -> torch.Tensor:
     """Return the quaternions (..., 4) of Rz(yaw) Ry(pitch) Rx(roll) for angles (...)."""
-    roll, pitch, yaw = torch.broadcast_tensors(roll, pitch, yaw)
+    roll, pitch, yaw = _broadcast(roll, pitch, yaw)
     zero = torch.zeros_like(roll)
     about_x = torch.stack(((roll / 2.0).cos(), (roll / 2.0).sin(), zero, zero), dim=-1)
     about_y = torch.stack(((pitch / 2.0).cos(), zero, (pitch / 2.0).sin(), zero), dim=-1)
@@ -354,6 +360,7 @@ def _pixels(pictures: torch.Tensor) -> list[torch.Tensor]:
 
 
 Size = int | tuple[int, ...]
+Device = torch.device | str | None
 Bound = torch.Tensor | float
 
 
@@ -361,30 +368,30 @@ def _shape(size: Size) -> tuple[int, ...]:
     return (size,) if isinstance(size, int) else tuple(size)
 
 
-def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
+def sample_uniform(lower: Bound, upper: Bound, size: Size, device: Device) -> torch.Tensor:
     """Return random numbers that are uniform on [lower, upper)."""
     return torch.rand(_shape(size), device=device) * (upper - lower) + lower
 
 
-def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Any) -> torch.Tensor:
+def sample_log_uniform(lower: Bound, upper: Bound, size: Size, device: Device) -> torch.Tensor:
     """Return random numbers on [lower, upper) whose logarithm is uniform."""
     low, high = (torch.as_tensor(bound, dtype=torch.float32, device=device).log() for bound in (lower, upper))
     return sample_uniform(low, high, size, device).exp()
 
 
-def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Any) -> torch.Tensor:
+def sample_gaussian(mean: Bound, std: Bound, size: Size, device: Device) -> torch.Tensor:
     """Return Gaussian random numbers; if the mean is a tensor, the numbers have the shape of the mean."""
     shape = tuple(mean.shape) if isinstance(mean, torch.Tensor) else _shape(size)
     return torch.randn(shape, device=device) * std + mean
 
 
-def sample_triangle(lower: float, upper: float, size: Size, device: Any) -> torch.Tensor:
+def sample_triangle(lower: float, upper: float, size: Size, device: Device) -> torch.Tensor:
     """Return random numbers on [lower, upper] whose density is highest at the bounds, as in Isaac Lab."""
     u = 2.0 * torch.rand(_shape(size), device=device) - 1.0
     return lower + (upper - lower) * (1.0 + u.sign() * u.abs().sqrt()) / 2.0
 
 
-def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, device: Any) -> torch.Tensor:
+def sample_cylinder(radius: float, h_range: tuple[float, float], size: Size, device: Device) -> torch.Tensor:
     """Return random points (..., 3), uniform on the lateral surface of a cylinder about z."""
     angle = (2.0 * torch.rand(_shape(size), device=device) - 1.0) * torch.pi
     height = sample_uniform(h_range[0], h_range[1], size, device)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TypeVar
 
 from wheelleg_exp.sim.names import match_names
+
+Value = TypeVar("Value")
 
 
 def resolve_matching_names(
@@ -16,8 +18,8 @@ def resolve_matching_names(
 
 
 def resolve_matching_names_values(
-    data: Mapping[str, Any], list_of_strings: Sequence[str], preserve_order: bool = False
-) -> tuple[list[int], list[str], list[Any]]:
+    data: Mapping[str, Value], list_of_strings: Sequence[str], preserve_order: bool = False
+) -> tuple[list[int], list[str], list[Value]]:
     """Return the results of ``resolve_matching_names`` for the keys of ``data``, and the value of each matched name."""
     indices, names = match_names(list(data), list_of_strings, what="name", preserve_order=preserve_order)
     owners = {name: value for key, value in data.items() for name in match_names(key, names, what="name")[1]}
