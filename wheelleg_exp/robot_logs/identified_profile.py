@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from wheelleg_exp.robot_logs.motor_identification import Identified, Parameter
 
@@ -50,7 +49,7 @@ def printable_line(text: str) -> str:
     return re.sub(r"[^\w ./-]", "?", text)
 
 
-def _mapping(key: str, unit: str, values: Sequence[tuple[Parameter, Any]]) -> list[str]:
+def _mapping(key: str, unit: str, values: Sequence[tuple[Parameter, float]]) -> list[str]:
     lines = [f"    {key}:   # {unit}"]
     for p, factor in values:
         interval = f"{factor * p.low:.4g} to {factor * p.high:.4g}"

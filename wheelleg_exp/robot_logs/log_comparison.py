@@ -79,7 +79,7 @@ class LogReport:
     corrected: Numbers
     policy_difference: float
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the report without the predicted readings, as a JSON document."""
         facts = {"rows": self.rows, "windows": self.windows, "policy_difference": self.policy_difference}
         findings = [{**vars(finding), "columns": list(finding.columns)} for finding in self.findings]

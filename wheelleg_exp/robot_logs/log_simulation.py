@@ -64,12 +64,12 @@ class Sensing:
     def true_values(self, logged: Numbers, rows: np.ndarray) -> Numbers:
         """Return the true values of logged readings (T, C) in ``rows`` (R,), as each model explains them, (N, R, C)."""
         seen = _later(logged, rows, self.lag) - self.offset[:, None]
-        return np.einsum("nij,nrj->nri", np.linalg.inv(self.matrix), seen)
+        return np.asarray(np.einsum("nij,nrj->nri", np.linalg.inv(self.matrix), seen))
 
     def errors(self, logged: Numbers, rows: np.ndarray, true: Numbers) -> Numbers:
         """Return the logged readings in ``rows`` (R,) minus the readings that the models make of ``true`` (N, R, C)."""
         shown = np.einsum("nij,nrj->nri", self.matrix, true) + self.offset[:, None]
-        return _later(logged, rows, self.lag) - shown
+        return np.asarray(_later(logged, rows, self.lag) - shown)
 
 
 def _later(logged: Numbers, rows: np.ndarray, lag: np.ndarray) -> Numbers:
@@ -135,7 +135,7 @@ class LogSimulation:
             for first in range(0, len(rows), width):
                 part = torch.arange(first, first + width).clamp(max=len(rows) - 1)
                 found[:, part] = self._predicted(states[part], gain[part], targets, rows[part])
-        true = found.unflatten(1, (count, len(starts))).permute(1, 2, 0, 3).numpy()
+        true = found.reshape(self.length, count, len(starts), -1).permute(1, 2, 0, 3).numpy()
         later = (starts[:, None] + np.arange(1, self.length + 1)).ravel()
         errors = sensing.errors(logged, later, true.reshape(count, len(later), -1))
         return errors.reshape(true.shape)

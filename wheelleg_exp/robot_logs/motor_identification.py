@@ -32,7 +32,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
@@ -84,7 +84,7 @@ class Identified:
     fitted: tuple[float, float]
     held_out: tuple[float, float]
     pieces: tuple[int, int]
-    drives: Mapping[str, Any]
+    drives: Mapping[str, Mapping[str, float]]
     physics_dt: float  # of the config, s
     drive_rate: float  # of the simulation, Hz
     groups: Mapping[str, list[str]]  # the joints of each actuator group
@@ -336,7 +336,7 @@ def _pieces(log: RobotLog, simulation: ChirpSimulation) -> _Pieces:
 def _noise(logged: Numbers) -> Numbers:
     """Return the noise of each column from third differences, at least a thousandth of its motion, (1, 1, 3, J)."""
     least = 1e-3 * np.nanstd(logged, axis=(0, 1), keepdims=True) + 1e-12
-    return np.maximum(noise_of(logged, (0, 1)), least)
+    return np.asarray(np.maximum(noise_of(logged, (0, 1)), least))
 
 
 def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shifts: Numbers | None = None) -> Numbers:
@@ -355,11 +355,11 @@ def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shift
     played = played.reshape(len(played), count, width, *played.shape[2:]).swapaxes(0, 1)
     scale = np.ones((count, 1, 1, 3, len(simulation.names)))
     scale[:, 0, 0, 2, simulation.driven] = values[..., 5]
-    errors = pieces.logged - scale * played
+    errors: Numbers = pieces.logged - scale * played
     # The angle of a wheel counts from an arbitrary start, and only its changes matter.
     free = simulation.drives["stiffness"] == 0
     errors[:, :, :, 0, free] -= np.nanmean(errors[:, :, :, 0, free], axis=1, keepdims=True)
-    return errors
+    return np.asarray(errors)
 
 
 def _first_fit(
@@ -428,7 +428,8 @@ class _Fit:
         """Return all parameters (driven joints, 7) of the unknowns of the free parameters."""
         ratios = self.ratios(self.start)
         ratios[self.free] = unknowns
-        found, gain = ratios * self.sizes, ratios[:, 3:4]
+        found: Numbers = ratios * self.sizes
+        gain = ratios[:, 3:4]
         found[:, :3] *= gain
         found[:, 0] = np.maximum(found[:, 0] - self.inertia, 1e-9)
         found[:, 5] = np.where(self.free[:, 5], found[:, 5] / gain[:, 0], self.start[:, 5])
@@ -440,9 +441,9 @@ class _Fit:
         found[:, 0] += self.inertia
         found[:, :3] /= gain
         found[:, 5] *= gain[:, 0]
-        return found / self.sizes
+        return np.asarray(found / self.sizes)
 
-    def solve(self, least: Any) -> Any:
+    def solve(self, least: ArrayLike) -> optimize.OptimizeResult:
         """Return scipy's solution from the start values, raised to ``least`` (7,)."""
         start = np.clip(np.maximum(self.ratios(self.start), least)[self.free], self.low, self.high)
         limits = {"bounds": (self.low, self.high), "x_scale": "jac", "max_nfev": _MOST_EVALUATIONS, "xtol": 1e-5}
@@ -462,7 +463,7 @@ class _Fit:
                 self.progress(f"prediction error {np.sqrt(np.mean(errors[0] ** 2)):.4g} times the noise")
         return self.known[1:]
 
-    def refined(self, solution: Any, faster: ChirpSimulation) -> tuple[Numbers, Numbers]:
+    def refined(self, solution: optimize.OptimizeResult, faster: ChirpSimulation) -> tuple[Numbers, Numbers]:
         """Return all parameters (driven joints, 7) after a last step, and half the widths of their 95 % intervals.
 
         ``faster`` simulates drives of a higher rate.

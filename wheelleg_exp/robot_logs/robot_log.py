@@ -13,7 +13,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -91,7 +90,7 @@ class RobotLog:
     @property
     def accepted(self) -> NDArray[np.bool_]:
         """Whether the policy accepted the readings of each row, (T,)."""
-        return self.columns.get(STATUS, np.zeros(len(self))) == 0
+        return np.asarray(self.columns.get(STATUS, np.zeros(len(self))) == 0)
 
     def starts(self, step_dt: float) -> NDArray[np.bool_]:
         """Return the rows that do not continue the previous row: a reset, or a time step far from ``step_dt``, (T,)."""
@@ -143,9 +142,9 @@ def read_log(path: Path) -> RobotLog:
     return RobotLog(path, columns, is_checked)
 
 
-def _numbers(column: Any, name: str, path: Path) -> Numbers:
+def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Numbers:
     try:
-        numbers = pc.cast(column, pa.float64()).to_numpy().astype(np.float64)
+        numbers: Numbers = pc.cast(column, pa.float64()).to_numpy().astype(np.float64)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise LogError(f"the column '{name}' contains text", key=str(path), expected="numbers") from error
     if np.isinf(numbers).any():
