@@ -214,11 +214,11 @@ class Tree:
     @cached_property
     def to_base(self) -> Array:
         """The rotation from the axes of the world to the axes of the base, (3, 3)."""
-        return self.data.xmat[self.base].reshape(3, 3).T
+        return np.asarray(self.data.xmat[self.base].reshape(3, 3).T)
 
     def point(self, world: Array) -> Array:
         """Convert a point from world coordinates to coordinates of the base, m."""
-        return self.to_base @ (world - self.data.xpos[self.base])
+        return np.asarray(self.to_base @ (world - self.data.xpos[self.base]))
 
     @cached_property
     def up(self) -> Array:

@@ -8,7 +8,6 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -219,7 +218,7 @@ def _mobility(matrix: Array, constraints: Array) -> Array:
     """Return the accelerations per force (n, n) of a mass matrix (n, n), with constraints of the velocities (r, n)."""
     _, sizes, rows = np.linalg.svd(constraints)
     free = rows[np.count_nonzero(sizes > RANK) :].T
-    return free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
+    return np.asarray(free @ np.linalg.inv(free.T @ matrix @ free) @ free.T)
 
 
 def _balance(
@@ -319,7 +318,7 @@ def name_expression(name: str) -> str:
     return name if re.fullmatch(r"[\w /:-]*", name) else re.escape(name)
 
 
-def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, Any]:
+def provisional_robot(name: str, rotation: Sequence[float], positions: Mapping[str, float]) -> dict[str, object]:
     """Return a config section ``env.robot`` without actuators, with the default joint positions ``positions``."""
     joint_pos = {name_expression(joint): value for joint, value in positions.items()}
     state = {"pos": [0.0, 0.0, 0.0], "rot": list(rotation), "joint_pos": joint_pos, "joint_vel": {}}

@@ -203,8 +203,8 @@ class _Problem:
 
     def _clearances(self, centres: Array) -> Array:
         """Return how much higher each wheel's lowest point is than the average of all wheels, m, (wheels,)."""
-        lows = centres @ self.up - self.radii
-        return lows - lows.mean()
+        lows: Array = centres @ self.up - self.radii
+        return np.asarray(lows - lows.mean())
 
     def cost(self, positions: Array) -> float:
         return float(np.square(self.residual(positions)).sum())

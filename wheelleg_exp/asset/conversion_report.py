@@ -23,7 +23,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from wheelleg_exp.plain_data import json_value
 
@@ -147,9 +147,9 @@ class Report:
     model: str
     root: str
     base: str
-    stage: dict[str, Any]
+    stage: dict[str, float | str]
     variants: dict[str, str]
-    totals: dict[str, Any]
+    totals: dict[str, float]
     bodies: dict[str, str]
     joints: dict[str, str]
     dof_order: DofOrder
@@ -160,8 +160,8 @@ class Report:
     warnings: tuple[str, ...] = ()
     unresolved: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
-    values: dict[str, Any] = field(default_factory=dict)
-    authored: dict[str, dict[str, Any]] = field(default_factory=dict)
+    values: dict[str, object] = field(default_factory=dict)
+    authored: dict[str, dict[str, object]] = field(default_factory=dict)
     layers: dict[str, str] = field(default_factory=dict)
     version: int = VERSION
 

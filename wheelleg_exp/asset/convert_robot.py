@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
@@ -18,7 +17,7 @@ from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, 
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
 from wheelleg_exp.asset.report_writer import measure_sizes
 from wheelleg_exp.asset.rigid_geometry import Frame
-from wheelleg_exp.asset.robot_description import BaseMode, Body, RobotDescription, depth_first
+from wheelleg_exp.asset.robot_description import BaseMode, Body, Part, RobotDescription, depth_first
 from wheelleg_exp.asset.robot_values import values_of
 from wheelleg_exp.asset.urdf.urdf_robot import SUFFIXES as URDF
 from wheelleg_exp.asset.urdf.urdf_robot import read_urdf
@@ -84,9 +83,9 @@ def _built(robot: RobotDescription, report: Report, output: Path) -> tuple[Robot
         return driven, report, write(driven, report, output)
     except AssetError as error:
         refusal = error.message
-        parts = (robot.bodies, robot.dofs, robot.geoms, robot.closures, robot.couplings, robot.tendons)
-        items: list[Any] = [*chain(*parts, robot.actuators, robot.keyframes)]
-        found = [(item.name, item.path, item.extra) for item in items]
+        parts: list[Part] = [*robot.bodies, *robot.dofs, *robot.geoms, *robot.closures, *robot.couplings]
+        parts += [*robot.tendons, *robot.actuators, *robot.keyframes]
+        found = [(part.name, part.path, part.extra) for part in parts]
         found += [(kind, report.root, getattr(robot, kind)) for kind in ("option", "flag", "compiler")]
         suspects = [(*part, key) for part in found for key in part[2] if "MuJoCo cannot build" in refusal]
         # MuJoCo's reason contains the name of the element or of the attribute.

@@ -99,7 +99,7 @@ def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
         left_out=left,
         warnings=warnings,
         findings=findings,
-        authored=plain(ledger.authored),
+        authored={path: {name: plain(v) for name, v in own.items()} for path, own in ledger.authored.items()},
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
@@ -22,7 +22,7 @@ ShapeKind = Literal["box", "sphere", "capsule", "cylinder", "ellipsoid", "plane"
 DofKind = Literal["hinge", "slide", "ball"]
 DriveKind = Literal["position", "velocity", "motor"]
 BaseMode = Literal["auto", "floating", "fixed"]
-Extra = Mapping[str, str | int | float | bool | tuple[float, ...]]
+Extra = dict[str, str | int | float | bool | tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -243,6 +243,9 @@ class Keyframe:
     name: str
     path: str
     extra: Extra
+
+
+Part = Body | Dof | Geom | Closure | Coupling | Tendon | Actuator | Keyframe
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from wheelleg_exp.asset.rigid_geometry import tensor_of
 from wheelleg_exp.asset.robot_description import Body, Dof, Drive, Geom, Mesh, RobotDescription
 
 
-def values_of(robot: RobotDescription) -> dict[str, Any]:
+def values_of(robot: RobotDescription) -> dict[str, object]:
     """Return bodies, joints, colliders, meshes, and actuators of a robot by name, in SI units and radians."""
     colliders = [(body.name, geom) for body in robot.bodies for geom in body.geoms if geom.collides]
     return {
@@ -19,11 +18,14 @@ def values_of(robot: RobotDescription) -> dict[str, Any]:
         "colliders": {geom.name: _collider(geom, owner) for owner, geom in colliders},
         "static_colliders": {geom.name: _collider(geom, None) for geom in robot.static_geoms if geom.collides},
         "meshes": {mesh.name: _mesh(mesh) for mesh in robot.meshes},
-        "actuators": {item.name: {item.transmission: item.target, **plain(item.extra)} for item in robot.actuators},
+        "actuators": {
+            item.name: {item.transmission: item.target, **{k: plain(v) for k, v in item.extra.items()}}
+            for item in robot.actuators
+        },
     }
 
 
-def _body(body: Body) -> dict[str, Any]:
+def _body(body: Body) -> dict[str, object]:
     inertial = body.inertial
     tensor = tensor_of(inertial.moments, inertial.axes)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -36,7 +38,7 @@ def _body(body: Body) -> dict[str, Any]:
     }
 
 
-def _joint(dof: Dof, body: str) -> dict[str, Any]:
+def _joint(dof: Dof, body: str) -> dict[str, object]:
     return {
         "path": dof.path,
         "body": body,
@@ -55,14 +57,14 @@ def effort_of(dof: Dof) -> float | None:
     return min(limits, default=None)
 
 
-def _drive(drive: Drive) -> dict[str, Any]:
+def _drive(drive: Drive) -> dict[str, object]:
     return {
         **{"kind": drive.kind, "kp": drive.stiffness, "kv": drive.damping},
         **_fields(drive, "effort target_position target_velocity acceleration"),
     }
 
 
-def _collider(geom: Geom, owner: str | None) -> dict[str, Any]:
+def _collider(geom: Geom, owner: str | None) -> dict[str, object]:
     return {
         **{"path": geom.path, "body": owner, **_fields(geom, "kind size")},
         **_fields(geom.pose, "position rotation"),
@@ -70,7 +72,7 @@ def _collider(geom: Geom, owner: str | None) -> dict[str, Any]:
     }
 
 
-def _mesh(mesh: Mesh) -> dict[str, Any]:
+def _mesh(mesh: Mesh) -> dict[str, object]:
     return {
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
@@ -79,11 +81,11 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def _fields(part: object, names: str) -> dict[str, Any]:
+def _fields(part: object, names: str) -> dict[str, object]:
     return {name: plain(getattr(part, name)) for name in names.split()}
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> object:
     """Return a JSON value: tuples become lists, and NaN and infinity become text."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)

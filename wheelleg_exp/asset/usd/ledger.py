@@ -112,7 +112,7 @@ def number_of(prim: Usd.Prim, name: str) -> float:
     return float(value)
 
 
-def _wrong(value: Any, kind: ValueKind | None) -> str:
+def _wrong(value: object, kind: ValueKind | None) -> str:
     """Return the text of an error message for an invalid USD value, or an empty string for a valid value."""
     if kind is None or kind.what in ("flag", "text"):
         numbers = np.zeros(0) if isinstance(value, str) else np.asarray(value)
@@ -133,7 +133,7 @@ def _wrong(value: Any, kind: ValueKind | None) -> str:
     return ""
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     text = f"'{value}'" if isinstance(value, str) else " ".join(str(value).split())
     return text if len(text) <= 40 else text[:40] + "..."
 
@@ -170,7 +170,7 @@ class Ledger:
         self._left_names: set[tuple[str, str]] = set()
         self._warnings: dict[str, None] = {}
         self._found: dict[tuple[str, str, str], Finding] = {}
-        self.authored: dict[str, dict[str, Any]] = {}
+        self.authored: dict[str, dict[str, object]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
         """Return a USD attribute's authored value, or None, and record ``became``, the MJCF part made from the value.

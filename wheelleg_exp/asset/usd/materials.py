@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdShade
@@ -43,11 +42,10 @@ class Looks:
             color = _input(shader, COLOR_INPUTS)
             if color is None or len(color) != 3:
                 continue
-            opacity = _input(shader, ("opacity", "opacity_constant"))
-            rgba = (color[0], color[1], color[2], 1.0 if opacity is None else opacity)
-            metallic = _input(shader, ("metallic", "metallic_constant"))
-            roughness = _input(shader, ("roughness", "reflection_roughness_constant"))
-            self.found[path] = Material(path, rgba, metallic, roughness)
+            opacity, *_ = _input(shader, ("opacity", "opacity_constant")) or (1.0,)
+            metallic = _input(shader, ("metallic", "metallic_constant")) or (None,)
+            roughness = _input(shader, ("roughness", "reflection_roughness_constant")) or (None,)
+            self.found[path] = Material(path, (color[0], color[1], color[2], opacity), metallic[0], roughness[0])
             return True
         return False
 
@@ -72,14 +70,12 @@ def _first(primvar: UsdGeom.Primvar, count: int) -> tuple[float, ...] | None:
     return tuple(single(float(value)) for value in values[0])
 
 
-def _input(shader: Usd.Prim, names: tuple[str, ...]) -> Any:
+def _input(shader: Usd.Prim, names: tuple[str, ...]) -> tuple[float, ...] | None:
     for name in names:
         attribute = shader.GetAttribute(f"inputs:{name}")
         value = attribute.Get() if attribute and attribute.HasAuthoredValue() else None
-        if isinstance(value, (float, int)):
-            return single(float(value))
-        if value is not None and len(np.shape(value)) == 1:
-            return tuple(single(float(v)) for v in value)
+        if isinstance(value, (float, int)) or (value is not None and len(np.shape(value)) == 1):
+            return tuple(single(float(v)) for v in np.atleast_1d(value))
     return None
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pxr import Usd
@@ -71,12 +71,12 @@ def _fits(stage: Stage, prim: Usd.Prim, name: str, became: str, value: Attribute
     return False
 
 
-def _plain(value: Any) -> Attribute | None:
+def _plain(value: object) -> Attribute | None:
     if isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    array = tuple(float(v) for v in value)
+    array = tuple(np.asarray(value, dtype=float).tolist())
     return array if array and all(math.isfinite(v) for v in array) else None
 
 

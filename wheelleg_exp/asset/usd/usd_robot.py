@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 from pxr import Usd
@@ -34,8 +33,6 @@ from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
 HALF_STEP = 2.0**-25
 MOST_DIGITS = 9
-_OF_DRIVES = "stiffness damping effort target_position target_velocity"
-Part = TypeVar("Part", desc.Dof, desc.Drive)
 
 
 def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
@@ -49,8 +46,8 @@ def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescripti
 def _is_single(prim: Usd.Prim) -> bool:
     for name in prim.GetAuthoredPropertyNames():
         if name.startswith("xformOp:"):
-            value: Any = prim.GetAttribute(name).Get() if prim.GetAttribute(name) else None
-            if hasattr(value, "GetImaginary"):
+            value = prim.GetAttribute(name).Get() if prim.GetAttribute(name) else None
+            if value is not None and hasattr(value, "GetImaginary"):
                 value = (value.GetReal(), *value.GetImaginary())
             numbers = np.asarray(0.0 if value is None else value, dtype=float)
             if not np.array_equal(numbers, numbers.astype(np.float32)):
@@ -75,20 +72,24 @@ def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     """Round the numbers of a joint, unless it has attributes of MuJoCo's schemas, which have double precision."""
     if any(name.startswith("mjc:") for name in stage.ledger.authored.get(dof.path, {})):
         return dof
+    drive = dof.drive and replace(
+        dof.drive,
+        stiffness=single(dof.drive.stiffness),
+        damping=single(dof.drive.damping),
+        effort=dof.drive.effort and single(dof.drive.effort),
+        target_position=single(dof.drive.target_position),
+        target_velocity=single(dof.drive.target_velocity),
+    )
     return replace(
-        _singles(dof, "position velocity max_velocity"),
+        dof,
+        position=single(dof.position),
+        velocity=single(dof.velocity),
+        max_velocity=dof.max_velocity and single(dof.max_velocity),
         axis=_short_vector(dof.axis),
         anchor=_short_vector(dof.anchor),
         range=None if dof.range is None else (single(dof.range[0]), single(dof.range[1])),
-        drive=None if dof.drive is None else _singles(dof.drive, _OF_DRIVES),
+        drive=drive,
     )
-
-
-def _singles(part: Part, names: str) -> Part:
-    """Return a joint or drive whose fields ``names`` have the shortest decimals of single precision."""
-    numbers = {name: getattr(part, name) for name in names.split()}
-    short: dict[str, Any] = {name: single(value) for name, value in numbers.items() if value is not None}
-    return replace(part, **short)
 
 
 def _short_geom(geom: desc.Geom) -> desc.Geom:

@@ -6,7 +6,7 @@ A collider's mass is authored in the USD file, or is the collider's density time
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -229,7 +229,7 @@ def _center(stage: Stage, prim: Usd.Prim, inside: Array, became: str) -> Array |
     if value is None or not all(math.isfinite(v) for v in value):
         return None
     stage.ledger.mapped(prim.GetPath(), "physics:centerOfMass", became)
-    return geometry.apply(inside, np.array([value]))[0]
+    return np.asarray(geometry.apply(inside, np.array([value]))[0])
 
 
 def _authored_moments(stage: Stage, link: Link) -> tuple[Vec3, Quat | None] | None:
@@ -262,7 +262,7 @@ def without_signs(ledger: Ledger, path: str, moments: Vec3) -> Vec3:
     return x, y, z
 
 
-def given_moments(value: Any) -> bool:
+def given_moments(value: Sequence[float] | None) -> bool:
     """Return whether authored moments are given: all finite, and at least one positive."""
     return value is not None and any(v > 0 for v in value) and all(math.isfinite(v) for v in value)
 

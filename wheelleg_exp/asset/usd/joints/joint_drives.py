@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import TypedDict
 
 from pxr import Usd
 
@@ -16,7 +16,7 @@ from wheelleg_exp.asset.robot_description import Drive
 from wheelleg_exp.asset.usd.joints.joint_axes import TURNS, FreeAxis, Range
 from wheelleg_exp.asset.usd.usd_stage import HUGE, Stage, effort_limit, schemas
 
-KEYS = ("stiffness", "damping", "maxForce", "targetPosition", "targetVelocity", "type")
+KEYS = ("stiffness", "damping", "targetPosition", "targetVelocity", "maxForce", "type")
 
 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
@@ -25,23 +25,26 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
     The drive's target is clamped to the joint's ``limits`` (rad or m). ``ref`` is the joint's position in MuJoCo at
     USD's joint position 0.
     """
-    value = _values(stage, prim, axis.token)
-    if value is None:
-        return None
+    values = [stage.ledger.read(prim, f"drive:{axis.token}:physics:{key}", "actuator") for key in KEYS]
+    if f"PhysicsDriveAPI:{axis.token}" not in schemas(prim):
+        if all(value is None for value in values):
+            return None
+        stage.ledger.assume(prim.GetPath(), f"drive of {axis.token} is authored without PhysicsDriveAPI", "honoured")
+    *numbers, most, kind = values
+    stiffness, damping, position, velocity = (number or 0.0 for number in numbers)
     units, angular = stage.units, axis.kind != "slide"
-    kp, kd = (max(0.0, units.gain(value[key] or 0.0, angular)) for key in ("stiffness", "damping"))
-    target = units.coordinate(value["targetPosition"] or 0.0, angular) + ref
-    speed = units.coordinate(value["targetVelocity"] or 0.0, angular)
+    kp, kd = (max(0.0, units.gain(gain, angular)) for gain in (stiffness, damping))
+    target, speed = units.coordinate(position, angular) + ref, units.coordinate(velocity, angular)
     if kp > 0 and kd > 0 and speed:
         _leave_speed(stage, prim, axis, speed * kd / kp)
     return Drive(
         kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
         stiffness=kp,
         damping=kd,
-        effort=_effort(stage, prim, value["maxForce"], angular),
+        effort=_effort(stage, prim, most, angular),
         target_position=clamped(stage, prim, f"the target of drive:{axis.token}", target, limits),
         target_velocity=speed,
-        acceleration=value["type"] == "acceleration",
+        acceleration=kind == "acceleration",
     )
 
 
@@ -52,16 +55,6 @@ def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> 
     reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
     stage.ledger.leave(prim.GetPath(), name, reason, f"{shift:g} {unit}")
     stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift:g} {unit})")
-
-
-def _values(stage: Stage, prim: Usd.Prim, token: str) -> dict[str, Any] | None:
-    value = {key: stage.ledger.read(prim, f"drive:{token}:physics:{key}", "actuator") for key in KEYS}
-    applied = f"PhysicsDriveAPI:{token}" in schemas(prim)
-    if not applied and all(v is None for v in value.values()):
-        return None
-    if not applied:
-        stage.ledger.assume(prim.GetPath(), f"drive of {token} is authored without PhysicsDriveAPI", "honoured")
-    return value
 
 
 def _effort(stage: Stage, prim: Usd.Prim, authored: float | None, angular: bool) -> float | None:
@@ -103,8 +96,17 @@ _VELOCITY = (
 _AXIS_FALLBACKS = {"armature": 0.0, "maxJointVelocity": math.inf}
 
 
-def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> dict[str, Any]:
-    """Return one axis's armature, friction loss, damping, and stiffness, by the names of the fields of ``Dof``.
+class Passive(TypedDict):
+    """The passive forces of one joint axis, by the names of the fields of ``Dof``."""
+
+    armature: float
+    frictionloss: float
+    damping: float
+    stiffness: float
+
+
+def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
+    """Return one axis's armature, friction loss, damping, and stiffness.
 
     MuJoCo's schemas override Newton's schemas, which override PhysX's schemas.
     """
