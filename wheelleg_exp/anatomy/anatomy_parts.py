@@ -98,7 +98,6 @@ class Anatomy:
 
     @property
     def wheel_joints(self) -> list[str]:
-        """Names of the wheels' joints."""
         return [wheel.joint for wheel in self.wheels]
 
     @property
@@ -158,7 +157,6 @@ class Tree:
 
     @property
     def floating(self) -> bool:
-        """Whether the base moves freely."""
         model = self.model
         return any(model.jnt_type[joint] == _JOINT.mjJNT_FREE for joint in self.joints_of(self.base))
 
@@ -169,11 +167,6 @@ class Tree:
             if int(self.model.body_parentid[other]) in found:
                 found.add(other)
         return sorted(found)
-
-    def fixed_to(self, body: int) -> list[int]:
-        """Return a body and all descendants that are rigidly attached to this body."""
-        weld = self.model.body_weldid
-        return [other for other in self.below(body) if weld[other] == weld[body]]
 
     def joints_of(self, body: int) -> list[int]:
         """Return the joints between a body and its parent."""
@@ -189,7 +182,6 @@ class Tree:
         return found
 
     def is_hinge(self, joint: int) -> bool:
-        """Return whether a joint is a hinge."""
         return bool(self.model.jnt_type[joint] == _JOINT.mjJNT_HINGE)
 
     def turns(self, joint: int) -> float:

@@ -61,7 +61,6 @@ class Joint:
 
     @property
     def limited(self) -> bool:
-        """Whether the joint has limits."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
 

@@ -207,8 +207,7 @@ def find_legs(tree: Tree, wheels: Sequence[int], driven: Collection[int]) -> lis
         if set(pair) <= set(tree.bodies):
             closures.append((mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"#{index}", pair))
     # ``limbs`` maps each body that moves relative to the base to the set of all bodies of the same limb.
-    fixed = set(tree.fixed_to(tree.base))
-    limbs = {body: {body} for body in tree.bodies if body not in fixed}
+    limbs = {body: {body} for body in tree.bodies if model.body_weldid[body] != model.body_weldid[tree.base]}
     links = [(body, int(model.body_parentid[body])) for body in limbs]
     for one, other in [*links, *[pair for _, pair in closures]]:
         if one in limbs and other in limbs and limbs[one] is not limbs[other]:

@@ -176,7 +176,6 @@ class Report:
 
     @staticmethod
     def from_json(text: str) -> Report:
-        """Parse a report."""
         try:
             data = json_value(text)
             if data["version"] != VERSION:

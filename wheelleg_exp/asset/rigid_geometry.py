@@ -107,7 +107,6 @@ class Frame:
 
     @staticmethod
     def identity() -> Frame:
-        """Return the rigid frame without rotation and translation."""
         return Frame(np.eye(3), np.zeros(3))
 
     @staticmethod
@@ -119,7 +118,6 @@ class Frame:
         return Frame(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
     def inverse(self) -> Frame:
-        """Return the inverse transform."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
     def pose(self) -> Pose:
@@ -128,7 +126,6 @@ class Frame:
         return Pose(vec3(self.translation), (w, x, y, z))
 
     def matrix(self) -> Array:
-        """Return the rigid transform as a 4x4 matrix."""
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = self.rotation, self.translation
         return out

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from wheelleg_exp.asset.rigid_geometry import tensor_of
-from wheelleg_exp.asset.robot_description import Body, Dof, Drive, Geom, Mesh, RobotDescription
+from wheelleg_exp.asset.robot_description import Body, Dof, Geom, Mesh, RobotDescription
 
 
 def values_of(robot: RobotDescription) -> dict[str, object]:
@@ -45,7 +45,11 @@ def _joint(dof: Dof, body: str) -> dict[str, object]:
         **_fields(dof, "kind axis anchor range stiffness damping armature frictionloss"),
         "effort": effort_of(dof),
         "velocity": dof.max_velocity,
-        "drive": None if dof.drive is None else _drive(dof.drive),
+        "drive": dof.drive
+        and {
+            **{"kind": dof.drive.kind, "kp": dof.drive.stiffness, "kv": dof.drive.damping},
+            **_fields(dof.drive, "effort target_position target_velocity acceleration"),
+        },
     }
 
 
@@ -55,13 +59,6 @@ def effort_of(dof: Dof) -> float | None:
     if dof.drive is not None and dof.drive.effort is not None:
         limits.append(dof.drive.effort)
     return min(limits, default=None)
-
-
-def _drive(drive: Drive) -> dict[str, object]:
-    return {
-        **{"kind": drive.kind, "kp": drive.stiffness, "kv": drive.damping},
-        **_fields(drive, "effort target_position target_velocity acceleration"),
-    }
 
 
 def _collider(geom: Geom, owner: str | None) -> dict[str, object]:

@@ -164,7 +164,6 @@ class Classes:
         return any(self._content[self.root].get(tag) for tag in ("joint", "site"))
 
     def element(self) -> Element:
-        """Return the ``<default>`` element of the MJCF."""
         out = Element("default")
         made = {self.root: Element("default", {"class": self.root})}
         for name, tags in self._content.items():

@@ -105,7 +105,6 @@ class Writer:
         self.classes = gather(robot)
 
     def text(self) -> str:
-        """Return the text of the robot's MJCF."""
         root = Element("mujoco", {"model": self.robot.name})
         files = any(len(mesh.faces) for mesh in self.robot.meshes)
         folder = self.mesh_folder if files else None

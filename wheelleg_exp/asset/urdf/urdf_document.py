@@ -107,9 +107,10 @@ class Document:
     root: Element
     ledger: Ledger = field(default_factory=Ledger)
 
-    def fail(self, element: Element, message: str, expected: str | None = None) -> NoReturn:
+    def fail(self, element: Element, message: str, expected: str | None = None, nearest: str | None = None) -> NoReturn:
         """Raise an AssetError that names an XML element and the element's line."""
-        raise AssetError(message, key=element.path, where=f"{self.source}:{element.line}", expected=expected)
+        where = f"{self.source}:{element.line}"
+        raise AssetError(message, key=element.path, where=where, expected=expected, nearest=nearest)
 
     def text(self, element: Element, name: str, became: str | None) -> str | None:
         """Return an XML attribute's text or None, and record that the attribute becomes the MJCF part ``became``."""
@@ -156,10 +157,7 @@ class Document:
 def open_document(source: Path) -> Document:
     """Read a URDF."""
     require_plain_file(source, "a URDF file", LARGEST_TEXT)
-    try:
-        root = parse_xml(source, source.read_bytes())
-    except OSError as error:
-        raise AssetError(f"'{source}' cannot be read: {error.strerror}", expected="a URDF file") from None
+    root = parse_xml(source, source.read_bytes())
     if root.tag != "robot":
         message = f"'{source.name}' is not a URDF: its outermost element is <{root.tag}>"
         raise AssetError(message, where=f"{source}:{root.line}", expected="<robot>")

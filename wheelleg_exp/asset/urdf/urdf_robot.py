@@ -153,12 +153,8 @@ def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tupl
 
     ``dofs`` maps the name of each URDF joint with exactly one degree of freedom to the MuJoCo joint.
     """
-    found = []
-    for joint in tree.joints.values():
-        element = joint.element.first("mimic")
-        coupling = _coupling(document, joint, element, tree, dofs) if element else None
-        found += [coupling] if coupling else []
-    return tuple(found)
+    mimics = [(joint, mimic) for joint in tree.joints.values() if (mimic := joint.element.first("mimic"))]
+    return tuple(filter(None, (_coupling(document, joint, mimic, tree, dofs) for joint, mimic in mimics)))
 
 
 def _coupling(
@@ -261,12 +257,8 @@ class _Builder:
 
     def _named_by(self, file: str) -> dict[str, float]:
         shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
-        of_file = [
-            placed.collides
-            for placed in shapes
-            if any(e.attributes.get("filename") == file for e in placed.element.walk())
-        ]
-        return {"colliders": sum(of_file), "visuals": len(of_file) - sum(of_file)}
+        using = [p.collides for p in shapes if any(e.attributes.get("filename") == file for e in p.element.walk())]
+        return {"colliders": sum(using), "visuals": len(using) - sum(using)}
 
     # ------------------------------------------------------------ bodies
     def _body(self, link: Link, inertial: desc.Inertial) -> desc.Body:

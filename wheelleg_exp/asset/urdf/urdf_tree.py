@@ -41,7 +41,6 @@ class Joint:
 
     @property
     def welds(self) -> bool:
-        """Whether the joint is fixed."""
         return self.kind == "fixed"
 
 
@@ -59,7 +58,6 @@ class Tree:
         return self.root if self.root.name == WORLD and self.root.element.first("inertial") is None else None
 
     def depth_first(self) -> Iterator[Link]:
-        """Yield all links of the URDF's tree in depth-first order."""
         stack = [self.root]
         while stack:
             link = stack.pop()
@@ -67,7 +65,6 @@ class Tree:
             stack.extend(joint.child for joint in reversed(link.joints))
 
     def breadth_first(self) -> Iterator[Link]:
-        """Yield all links of the URDF's tree in breadth-first order."""
         level = [self.root]
         while level:
             yield from level
@@ -91,9 +88,8 @@ def read_tree(document: Document) -> Tree:
         name = document.required(element, "name", "joint name")
         kind = document.required(element, "type", "joint type")
         if kind not in KINDS:
-            nearest = nearest_name(kind, KINDS)
-            hint = f"one of {', '.join(KINDS)}" + (f"; did you mean '{nearest}'?" if nearest else "")
-            document.fail(element, f"there is no joint type '{kind}'", hint)
+            message, expected = f"there is no joint type '{kind}'", f"one of {', '.join(KINDS)}"
+            document.fail(element, message, expected, nearest_name(kind, KINDS))
         parent, child = (_end(document, element, side, links) for side in ("parent", "child"))
         joint = Joint(element, name, kind, parent, child)
         if child.joint is not None:
@@ -127,9 +123,7 @@ def _end(document: Document, element: Element, side: str, links: dict[str, Link]
         document.fail(element, f"<joint> has no <{side}>", f'<{side} link="..."/>')
     name = document.required(end, "link", "the body tree")
     if name not in links:
-        nearest = nearest_name(name, links)
-        hint = "the name of a <link>" + (f"; did you mean '{nearest}'?" if nearest else "")
-        document.fail(end, f"there is no link '{name}'", hint)
+        document.fail(end, f"there is no link '{name}'", "the name of a <link>", nearest_name(name, links))
     return links[name]
 
 

@@ -88,7 +88,6 @@ class Piece:
 
     @property
     def path(self) -> str:
-        """The path of the gprim."""
         return str(self.prim.GetPath())
 
 

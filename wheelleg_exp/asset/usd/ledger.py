@@ -226,7 +226,6 @@ class Ledger:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The recorded findings, such as ``no_colliders``."""
         return tuple(self._found.values())
 
     def knows(self, path: object, name: str) -> bool:

@@ -8,6 +8,7 @@ MuJoCo's schemas override Newton's schemas, and Newton's schemas override PhysX'
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TypeVar
@@ -298,7 +299,5 @@ def distinct(known: Iterable[desc.Dof | Part], parts: Iterable[Part]) -> tuple[P
 
 def single_dofs(robot: desc.RobotDescription) -> dict[str, desc.Dof]:
     """Return the degree of freedom of each joint that has exactly one degree of freedom, by prim path."""
-    found: dict[str, desc.Dof | None] = {}
-    for dof in robot.dofs:
-        found[dof.path] = None if dof.path in found else dof
-    return {path: dof for path, dof in found.items() if dof is not None}
+    count = Counter(dof.path for dof in robot.dofs)
+    return {dof.path: dof for dof in robot.dofs if count[dof.path] == 1}

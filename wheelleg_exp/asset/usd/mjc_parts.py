@@ -138,8 +138,8 @@ class Targets:
 
 def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
     """Return the USD stage's actuators, except those whose joint, tendon, site, or body the MJCF lacks."""
-    found = (_actuator(stage, prim, name, targets) for prim, name in named(stage.of_type(ACTUATOR)))
-    return tuple(actuator for actuator in found if actuator is not None)
+    prims = named(stage.of_type(ACTUATOR))
+    return tuple(filter(None, (_actuator(stage, prim, name, targets) for prim, name in prims)))
 
 
 def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc.Actuator | None:
@@ -207,8 +207,8 @@ OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:i
 
 def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
     """Return the USD stage's tendons, except those with a site, geom, or joint that the MJCF lacks."""
-    found = (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in named(stage.of_type(TENDON)))
-    return tuple(tendon for tendon in found if tendon is not None)
+    prims = named(stage.of_type(TENDON))
+    return tuple(filter(None, (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in prims)))
 
 
 def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names, geoms: Names) -> desc.Tendon | None:
@@ -322,8 +322,8 @@ KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "
 
 def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
     """Return the keyframes whose arrays fit the robot's numbers of coordinates, velocities, and controls."""
-    found = (_keyframe(stage, prim, name, robot) for prim, name in named(stage.of_type(KEYFRAME)))
-    return tuple(keyframe for keyframe in found if keyframe is not None)
+    prims = named(stage.of_type(KEYFRAME))
+    return tuple(filter(None, (_keyframe(stage, prim, name, robot) for prim, name in prims)))
 
 
 def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:

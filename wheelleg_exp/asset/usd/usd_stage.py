@@ -157,7 +157,6 @@ class Stage:
 
     @cached_property
     def articulation_prims(self) -> list[Sdf.Path]:
-        """The paths of the USD prims with ArticulationRootAPI."""
         return [prim.GetPath() for prim in self.prims if "PhysicsArticulationRootAPI" in schemas(prim)]
 
     def of_type(self, kind: str) -> list[Usd.Prim]:
@@ -192,14 +191,10 @@ def open_stage(source: Path, variants: Mapping[str, str]) -> Stage:
     """Open the USD file ``source`` with all payloads loaded."""
     expected = "a USD file (" + ", ".join(SUFFIXES) + ")"
     require_plain_file(source, expected)
-    try:
-        if source.suffix.lower() not in SUFFIXES:
-            raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
-        if not source.stat().st_size:
-            raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise AssetError(f"'{source}' cannot be read: {reason}", expected=expected) from None
+    if source.suffix.lower() not in SUFFIXES:
+        raise AssetError(f"'{source.name}' is not a USD file", where=str(source), expected=", ".join(SUFFIXES))
+    if not source.stat().st_size:
+        raise AssetError(f"'{source.name}' is empty", where=str(source), expected=expected)
     with library(source):
         root, *_ = open_layers(source)
         usd = Usd.Stage.Open(root, Usd.Stage.LoadAll)

@@ -129,8 +129,9 @@ def _joints(conversion: Conversion) -> Iterator[tuple[str, ...]]:
             gains = [_shortly(by_end[key]) for key in ("stiffness", "damping") if by_end.get(key)]
             parts += [", ".join(gains) + " per deg"] if gains else []
         limit = None if dof.drive is None else dof.drive.effort
-        if limit is not None and not math.isclose(by_end.get("maxForce", limit), limit, rel_tol=1e-3):
-            parts.append(f"max {_shortly(by_end['maxForce'])}")
+        most = by_end.get("maxForce")
+        if limit is not None and isinstance(most, (int, float)) and not math.isclose(most, limit, rel_tol=1e-3):
+            parts.append(f"max {_shortly(most)}")
         if not usd and dof.force_range is None and "effort" in by_end:
             parts.append(f"effort {_shortly(by_end['effort'])}")
         yield (

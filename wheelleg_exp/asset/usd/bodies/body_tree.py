@@ -108,8 +108,7 @@ def _driven(joint: Joint) -> bool:
 
 def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
     """Replace joints that close kinematic loops by MuJoCo equality constraints."""
-    found = (_closure(stage, joint) for joint in joints)
-    return tuple(closure for closure in found if closure is not None)
+    return tuple(filter(None, (_closure(stage, joint) for joint in joints)))
 
 
 def _closure(stage: Stage, joint: Joint) -> Closure | None:
@@ -296,8 +295,9 @@ class _Builder:
             if joint.path in self._used:
                 continue
             edge = edges.get((id(joint.links[0]), id(joint.links[1])))
-            adds = _are_mujocos(edge.joint, joint) if said is None and edge else said
-            if edge is not None and not joint.closes and adds:
+            # The degrees of freedom of several joints with MjcJointAPI add up.
+            alike = all(one and "MjcJointAPI" in schemas(one.prim) for one in (edge and edge.joint, joint))
+            if edge is not None and not joint.closes and (alike if said is None else said):
                 edge.added.append(joint)
             elif all(link is None or link.kinematic for link in joint.links):
                 reason = "joins bodies that nothing moves: kinematic ones, or the world"
@@ -312,8 +312,3 @@ def _joints_add_up(stage: Stage) -> bool | None:
     said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
     given = [value for value in said if value is not None]
     return any(given) if given else None
-
-
-def _are_mujocos(*joints: Joint | None) -> bool:
-    """Return whether all ``joints`` have MjcJointAPI; the degrees of freedom of several such joints add up."""
-    return all(joint is not None and "MjcJointAPI" in schemas(joint.prim) for joint in joints)

@@ -68,7 +68,8 @@ def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
         kind: Literal["hinge", "slide"] = "slide" if token in SLIDES else "hinge"
         free.append(FreeAxis(kind, UNIT[token[-1]], token, f"_{token}"))
     turns = [axis for axis in free if axis.kind == "hinge"]
-    if len(turns) == 3 and not any(_limited(stage, prim, axis.token) or _own(prim, axis.token) for axis in turns):
+    limits = [value for axis in turns for value in _limits(stage, prim, axis.token)]
+    if len(turns) == 3 and all(endless(v, True) for v in limits) and not any(_own(prim, axis.token) for axis in turns):
         free = [axis for axis in free if axis.kind == "slide"]
         free.append(FreeAxis("ball", UNIT["X"], "rot", "_rot" if free else ""))
     return free, offset
@@ -80,10 +81,6 @@ def _limits(stage: Stage, prim: Usd.Prim, token: str) -> tuple[float | None, flo
     if (low is not None or high is not None) and f"PhysicsLimitAPI:{token}" not in schemas(prim):
         stage.ledger.assume(prim.GetPath(), f"limits of {token} are authored without PhysicsLimitAPI", "honoured")
     return low, high
-
-
-def _limited(stage: Stage, prim: Usd.Prim, token: str) -> bool:
-    return not all(endless(value, True) for value in _limits(stage, prim, token))
 
 
 def _own(prim: Usd.Prim, token: str) -> bool:

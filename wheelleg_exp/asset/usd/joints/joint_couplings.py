@@ -99,11 +99,9 @@ def read_mimics(stage: Stage, dofs: Sequence[Dof]) -> tuple[Coupling, ...]:
     by_path: dict[str, list[Dof]] = {}
     for dof in dofs:
         by_path.setdefault(dof.path, []).append(dof)
-    found = []
-    for prim in stage.prims:
-        instances = [name.removeprefix(SCHEMA) for name in schemas(prim) if name.startswith(SCHEMA)]
-        found += [_mimic(stage, prim, axis, by_path) for axis in instances]
-    return tuple(coupling for coupling in found if coupling is not None)
+    applied = [(prim, name) for prim in stage.prims for name in schemas(prim) if name.startswith(SCHEMA)]
+    found = (_mimic(stage, prim, name.removeprefix(SCHEMA), by_path) for prim, name in applied)
+    return tuple(filter(None, found))
 
 
 def _mimic(stage: Stage, prim: Usd.Prim, axis: str, dofs: Mapping[str, list[Dof]]) -> Coupling | None:

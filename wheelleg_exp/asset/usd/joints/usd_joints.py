@@ -57,8 +57,7 @@ class Joint:
 def read_joints(stage: Stage, links: Links) -> list[Joint]:
     """Return the enabled joints of a USD stage whose bodies exist, in the order of the stage."""
     prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
-    found = (_joint(stage, links, prim, name) for prim, name in named(prims))
-    return [joint for joint in found if joint is not None]
+    return list(filter(None, (_joint(stage, links, prim, name) for prim, name in named(prims))))
 
 
 def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | None:
