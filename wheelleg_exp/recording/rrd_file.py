@@ -67,7 +67,6 @@ class RrdFile:
 
     @property
     def header(self) -> bytes:
-        """The first 12 bytes of the rrd file."""
         return self.read(0, HEADER_SIZE)
 
     def messages(self, begin: int = HEADER_SIZE) -> Iterator[Message]:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from wheelleg_exp.child_process import serve_requests
 from wheelleg_exp.rendering.render_scene import Array
-
-if TYPE_CHECKING:
-    import mujoco
+from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
 
 Layer = Literal["colour", "depth", "geom"]
 # ``FORMS`` maps each picture layer to its channels per pixel and its data type, such as 3 and uint8 for colour.
@@ -45,11 +44,7 @@ class Poses:
 
 @contextmanager
 def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
-    import mujoco
-
     # Set the picture size and the clipping range of the MuJoCo model, and hide the model's invisible geoms.
-    from wheelleg_exp.rendering.scene_models import body_geoms, is_plane
-
     model = order.model
     model.vis.global_.offwidth, model.vis.global_.offheight = order.width, order.height
     # Put the light at the camera, so that a surface that faces the camera appears in the colour of its material.
@@ -67,8 +62,6 @@ def _prepare(order: CameraOrder) -> Iterator[Callable[[Poses], bytes]]:
 
 class _Draw:
     def __init__(self, renderer: mujoco.Renderer, model: mujoco.MjModel, order: CameraOrder) -> None:
-        import mujoco
-
         self._renderer, self._model, self._order = renderer, model, order
         self._data = mujoco.MjData(model)
         self._option = mujoco.MjvOption()
@@ -76,8 +69,6 @@ class _Draw:
         self._option.flags[mujoco.mjtVisFlag.mjVIS_RANGEFINDER] = 0
 
     def __call__(self, qpos: Array) -> list[NDArray[np.generic]]:
-        import mujoco
-
         self._data.qpos[:] = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -99,8 +90,6 @@ class _Draw:
         return np.where(depth < _BEYOND * far, depth, np.float32(np.inf))
 
     def geom(self) -> NDArray[np.int32]:
-        import mujoco
-
         self._renderer.enable_segmentation_rendering()
         number, kind = np.moveaxis(np.asarray(self._renderer.render()), -1, 0)
         return np.where(kind == mujoco.mjtObj.mjOBJ_GEOM, number, np.int32(-1))

@@ -36,7 +36,6 @@ class EntityRows:
         return sorted(entity for entity in self._contents.pieces if entity and not entity.startswith(HIDDEN))
 
     def timelines(self) -> list[str]:
-        """Return the names of the recorded timelines."""
         found = {name for e in self.entities() for name in self.columns(e)}
         return [name for name in TIMELINES if name in found]
 

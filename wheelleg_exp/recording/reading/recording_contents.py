@@ -59,7 +59,6 @@ class Health:
         return found
 
     def as_dict(self) -> dict[str, object]:
-        """Return the state of a recording's file as a dictionary for JSON."""
         return {"is_whole": self.is_whole, **asdict(self), "lost": self.size - self.readable}
 
 

@@ -124,7 +124,6 @@ class Recording(EntityRows):
         return sorted(found, key=lambda event: -1 if event.step is None else event.step)
 
     def documents(self) -> list[str]:
-        """Return the names of the recorded text documents."""
         return [key for e in self.entities() if (key := layout.key_below(DOCUMENTS, e)) is not None]
 
     def document(self, name: str) -> str | None:

@@ -185,7 +185,6 @@ class RecordedEnvironment:
         self.stamps.append(stamp)
 
     def clear(self) -> None:
-        """Remove the buffered frames."""
         self.frames.clear()
         self.stamps.clear()
 

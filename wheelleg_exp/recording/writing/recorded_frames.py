@@ -177,7 +177,6 @@ class Frames:
         return {c.key: rows[:, s] for c, s in zip(self.channels, self._slices, strict=True)}
 
     def clear(self) -> None:
-        """Remove the rows."""
         self.count = 0
 
 

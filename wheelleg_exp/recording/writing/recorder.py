@@ -10,7 +10,6 @@ from typing import Self
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from wheelleg_exp.config.checking.check_terms import recorded_errors
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -201,7 +200,8 @@ class Recorder:
         for entity, stamps, columns in (*self._events.pieces(), *self._scalars.pieces(everything=everything)):
             self._file.columns(entity, times(stamps), columns)
         if self._stale:
-            self._file.blueprint(self.blueprint())
+            layouts, purpose, documents, training = self.layout_state()
+            self._file.blueprint(blueprint(layouts, purpose, documents=documents, training=training))
             self._stale = False
         self._file.flush()
 
@@ -218,11 +218,6 @@ class Recorder:
     def unfinished(self) -> str | None:
         """The reason why the closed recording has no index, such as a full disk; None if there is no such reason."""
         return self._file.unfinished
-
-    def blueprint(self) -> rrb.Blueprint:
-        """Return a layout of Rerun's viewer that shows all data that has been recorded so far."""
-        layouts, purpose, documents, training = self.layout_state()
-        return blueprint(layouts, purpose, documents=documents, training=training)
 
     def layout_state(self) -> tuple[list[EnvLayout], Purpose, list[str], list[str]]:
         """Return the arguments of ``blueprint``: layouts, purpose, names of texts, keys of training scalars."""

@@ -68,7 +68,6 @@ class RecordingFile:
         self._chunks.append(Chunk.from_columns(entity, times, columns))
 
     def chunks(self, chunks: Iterable[Chunk]) -> None:
-        """Add chunks of another recording."""
         self._chunks += chunks
 
     def blueprint(self, blueprint: rrb.Blueprint) -> None:
