@@ -172,7 +172,7 @@ def test_the_order_of_a_quaternion_is_checked(clean, shift, findings):
     quats += [np.sin(pitch / 2) * np.cos(roll / 2), -np.sin(pitch / 2) * np.sin(roll / 2)]
     columns = {name: values for name, values in clean.items() if not name.startswith("projected")}
     columns |= {f"base_quat.{p}": v for p, v in zip("wxyz", np.roll(quats, shift, axis=0), strict=True)}
-    log, found = with_imu(log_of(columns), {"imus": {}, "step_dt": 1 / 60})
+    log, found = with_imu(log_of(columns), {}, 1 / 60)
     assert [finding.kind for finding in found] == ["order"] * findings
     assert log.columns["projected_gravity.x"] == pytest.approx(gravity[:, 0], abs=0.02)
 

@@ -65,7 +65,6 @@ class RecordingComparison:
         return not (self.different or self.only_first or self.only_second)
 
     def as_dict(self) -> dict[str, object]:
-        """Return the comparison of two Rerun recordings as a dictionary for JSON."""
         return {"is_equal": self.is_equal, **asdict(self)}
 
 

@@ -88,7 +88,6 @@ class Frames:
 
     @property
     def names(self) -> list[str]:
-        """The names of the recorded numbers in a table of frames."""
         return [name for name in self.table.column_names if name not in TIMELINES]
 
     @property
@@ -120,7 +119,6 @@ class View:
 
     @property
     def env_ids(self) -> list[int]:
-        """The indices of the recorded environments that ``selection`` includes."""
         return self.selection.env_ids(self.recording)
 
     def frames(self, group: str, env_id: int) -> Frames | None:
@@ -132,7 +130,6 @@ class View:
         return Frames(self.selection.apply(self.recording.numbers(group, env_id)), env_id)
 
     def names(self, group: str) -> list[str]:
-        """Return the names of the recorded numbers in a group such as ``rewards``."""
         frames = self.frames(group, self.env_ids[0])
         return [] if frames is None else frames.names
 

@@ -188,7 +188,6 @@ class Summary:
     samples: list[Sample]
 
     def as_dict(self) -> dict[str, object]:
-        """Return the summary of a recording as a dictionary for JSON."""
         return {**asdict(self), "health": self.health.as_dict()}
 
 

@@ -23,7 +23,7 @@ from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import IO, Any, Self, cast
+from typing import IO, TYPE_CHECKING, Any, Self, cast
 from urllib.parse import quote, urlsplit
 
 from wheelleg_exp.child_process import running_program
@@ -33,6 +33,9 @@ from wheelleg_exp.recording.layout import SIM_TIME
 from wheelleg_exp.recording.rerun_program import rerun_program
 from wheelleg_exp.recording.writing.live_view import LOOPBACK, free_port, viewer_environment
 from wheelleg_exp.rendering.renderer import NoGraphics
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
 
 # If Rerun's viewer fails, an output line with a word such as "panic" or "error" reports the cause.
 _CAUSES = ("adapter", "panic", "error", "failed")
@@ -101,12 +104,10 @@ class WebViewer(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """The port of the server."""
         return self.server_port
 
     @property
     def url(self) -> str:
-        """The URL of the server."""
         return f"http://{LOOPBACK}:{self.port}/"
 
     def __enter__(self) -> Self:
@@ -258,7 +259,7 @@ def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: 
     write_new(output, picture)
 
 
-def _connected(port: int, process: subprocess.Popen[bytes], output: IO[bytes]) -> Any:
+def _connected(port: int, process: subprocess.Popen[bytes], output: IO[bytes]) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + _START_S
@@ -277,7 +278,7 @@ def _no_graphics(output: IO[bytes]) -> NoGraphics:
     return NoGraphics(f"the viewer cannot be drawn on this machine ({failure_line(output)})", expected=INSTALL)
 
 
-def _still(client: Any) -> bytes:
+def _still(client: ViewerClient) -> bytes:
     """Wait until two consecutive screenshots are equal, because Rerun's viewer loads data over several frames."""
     now = bytes(client.take_screenshot())
     for _ in range(_STILL):

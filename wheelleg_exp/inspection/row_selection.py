@@ -66,7 +66,6 @@ class Selection:
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:
-        """Return the indices of the selected environments."""
         if self.env_id is None:
             return list(recording.env_ids)
         recording.branch(self.env_id)

@@ -29,35 +29,26 @@ RewardTermCfg = ObservationTermCfg = TerminationTermCfg = EventTermCfg = Curricu
 
 
 @configclass
-class ActionTermCfg:
-    """The config of an action: the parameters of the YAML node as attributes.
-
-    The fields ``class_type`` and ``debug_vis`` have no effect, because ``_target_`` names the class.
-
-    Attributes:
-        asset_name: the robot's name in the scene.
-        clip: bounds by joint expression, which the term applies.
-    """
+class _TermCfg:
+    """The fields of all terms, which have no effect, because ``_target_`` names the class."""
 
     class_type: Any = None
-    asset_name: str = "robot"
     debug_vis: bool = False
+
+
+@configclass
+class ActionTermCfg(_TermCfg):
+    """The parameters of an action's YAML node: the robot's name in the scene, and ``clip``, bounds by expression."""
+
+    asset_name: str = "robot"
     clip: dict[str, tuple[float, float]] | None = None
 
 
 @configclass
-class CommandTermCfg:
-    """The config of a command: the parameters of the YAML node as attributes.
+class CommandTermCfg(_TermCfg):
+    """The parameters of a command's YAML node, with the shortest and longest time between two draws, s."""
 
-    The fields ``class_type`` and ``debug_vis`` have no effect, because ``_target_`` names the class.
-
-    Attributes:
-        resampling_time_range: shortest and longest time between two draws, s.
-    """
-
-    class_type: Any = None
     resampling_time_range: tuple[float, float] = (10.0, 10.0)
-    debug_vis: bool = False
 
 
 class ActionTerm(OfEnv, managers.ActionTerm):

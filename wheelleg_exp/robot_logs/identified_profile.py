@@ -19,7 +19,8 @@ def profile_text(found: Identified, base: str, name: str, log: str, groups: Mapp
     ``groups`` contains the joints of each actuator group. Each value is followed by its 95 % confidence interval.
     """
     values = {(p.joint, p.name): p for p in found.parameters}
-    lines = ["# @package env.robot", f"# Like `{base}`, with motors identified from {printable_line(log)}."]
+    printable = re.sub(r"[^\w ./-]", "?", log)
+    lines = ["# @package env.robot", f"# Like `{base}`, with motors identified from {printable}."]
     lines += ["# The comments contain 95 % confidence intervals."]
     lines += [f"# The values are those of continuous joints whose drives compute torques at {found.drive_rate:.4g} Hz."]
     lines += ["# A physics step of training adds damping to them: the shorter the step (sim=fine), the less."]
@@ -42,11 +43,6 @@ def profile_text(found: Identified, base: str, name: str, log: str, groups: Mapp
             interval = f"({p.low:.4g} to {p.high:.4g})"
             lines.append(f"    # The logged effort of {p.joint} is {p.value:.4g} times its torque {interval}.")
     return "\n".join(lines) + "\n"
-
-
-def printable_line(text: str) -> str:
-    """Return a text without control characters, for a comment."""
-    return re.sub(r"[^\w ./-]", "?", text)
 
 
 def _mapping(key: str, unit: str, values: Sequence[tuple[Parameter, float]]) -> list[str]:

@@ -102,7 +102,7 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
         policy = Policy(bundle)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunDirectoryError(f"the bundle cannot be read: {error}", key=str(bundle)) from error
-    log, findings = with_imu(log, policy.spec)
+    log, findings = with_imu(log, policy.spec["imus"], policy.spec["step_dt"])
     names = policy.spec["joint_names"]
     columns = channels(names)
     logged = log.table(columns)
@@ -145,10 +145,12 @@ def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Pa
     return search.report(findings, difference)
 
 
-def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[LogFinding]]:
+def with_imu(
+    log: RobotLog, imus: Mapping[str, Mapping[str, Sequence[float]]], step_dt: float
+) -> tuple[RobotLog, list[LogFinding]]:
     """Return the log with ``base_ang_vel`` and ``projected_gravity``: from ``base_quat`` or an IMU if missing."""
     columns, findings = dict(log.columns), []
-    for name, imu in spec["imus"].items():
+    for name, imu in imus.items():
         turn = quat_to_matrix(torch.tensor(imu["quat"], dtype=torch.float64)).numpy()
         for reading, theirs in (("base_ang_vel", "ang_vel"), ("projected_gravity", "projected_gravity")):
             source, target = columns_of(f"{name}.{theirs}", 3, ()), columns_of(reading, 3, ())
@@ -159,7 +161,7 @@ def with_imu(log: RobotLog, spec: Mapping[str, Any]) -> tuple[RobotLog, list[Log
         quats, gyro = log.table(quaternion), log.table(columns_of("base_ang_vel", 3, ()))
         orders = [np.array([projected_gravity(quat) for quat in np.roll(quats, shift, axis=1)]) for shift in (0, 1)]
         # The gyroscope turns gravity by -omega x gravity; over six rows, this motion exceeds the noise.
-        moved = [np.diff(g, axis=0) + np.cross(gyro, g)[1:] * spec["step_dt"] for g in orders]
+        moved = [np.diff(g, axis=0) + np.cross(gyro, g)[1:] * step_dt for g in orders]
         errors = [
             float(np.median(np.linalg.norm(np.diff(np.cumsum(np.nan_to_num(m), axis=0)[::6], axis=0), axis=1)))
             for m in moved

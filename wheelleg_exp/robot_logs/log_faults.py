@@ -45,7 +45,6 @@ class Fault:
 
     @property
     def sensing(self) -> Sensing:
-        """The sensing model of the fault."""
         return self.model(self.value)
 
     def nearby(self, spread: float) -> list[Fault]:

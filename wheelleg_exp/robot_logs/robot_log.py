@@ -63,7 +63,6 @@ class RobotLog:
         return float(steps[np.abs(steps - typical) <= 0.5 * abs(typical)].mean())
 
     def has(self, names: Sequence[str]) -> bool:
-        """Return whether the log contains all columns ``names``."""
         return all(name in self.columns for name in names)
 
     def table(self, names: Sequence[str]) -> Numbers:
