@@ -14,7 +14,7 @@ def test_a_fault_occurs_once_and_its_tests_exist(fault):
     assert fault.becomes != fault.text
     assert fault.tests
     for test in fault.tests:
-        path, _, name = test.partition("::")
+        path, _, name = test.partition("[")[0].partition("::")
         assert (REPOSITORY / path).exists(), test
         assert not name or re.search(rf"^def {name}\(", (REPOSITORY / path).read_text(encoding="utf-8"), re.M), test
 
