@@ -1,6 +1,7 @@
 """Test the columns of episodes against closed forms on synthetic trajectories."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,9 +52,9 @@ def test_motion_while_settling_and_after_a_fall_does_not_count():
 def test_a_fall_appears_at_the_moments_after_it():
     made = still(20.0, 2)
     fall(made, 1, 7.0)
-    columns = motion_columns.survival(made, [5.0, 20.0, 60.0])
+    columns = motion_columns.survival(made, [5.0, 7.0, 20.0, 60.0])
     assert columns["survived_5s"].tolist() == [1.0, 1.0]
-    assert columns["survived_20s"].tolist() == [1.0, 0.0]
+    assert columns["survived_7s"].tolist() == columns["survived_20s"].tolist() == [1.0, 0.0]
     assert "survived_60s" not in columns  # The horizon is shorter than 60 s.
     assert columns["time_to_failure_s"].tolist() == pytest.approx([20.0, 7.0])
 
@@ -148,6 +149,9 @@ def test_both_errors_come_together_at_the_wheels():
     made.vel[:, 3, 0], made.ang[:, 3, 2] = 0.33, 0.9
     columns = motion_columns.wheel_error(made, parts(4), 1.0)
     assert columns["error_wheels_m_s"].tolist() == pytest.approx([0.0, 0.03, 0.04, 0.05], abs=1e-6)
+    lopsided = replace(parts(4), wheel_offsets=torch.tensor([0.2, -0.1]))
+    both = math.sqrt(((0.03 - 0.4 * 0.2) ** 2 + (0.03 + 0.4 * 0.1) ** 2) / 2)
+    assert float(motion_columns.wheel_error(made, lopsided, 1.0)["error_wheels_m_s"][3]) == pytest.approx(both)
 
 
 def test_standing_still_earns_the_score_of_standing_still_and_tracking_all():

@@ -76,11 +76,11 @@ def test_trainings_of_different_robots_do_not_count_as_one_method():
 
 def test_a_cached_evaluation_is_found_under_any_spelling_of_its_protocol(run):
     first = evaluated(run.path)
-    again = evaluated(run.path, "protocol=stand", "protocol.stand.episodes=4", "--kept")
+    again = evaluated(run.path, "protocol=stand", "protocol.stand.episodes=4", "--stored")
     assert again["folder"] == first["folder"]
-    other = evaluated(run.path, "seed=7", "--kept")
+    other = evaluated(run.path, "seed=7", "--stored")
     assert other["folder"] != first["folder"]
-    finer = evaluated(run.path, "env.sim.dt=0.004", "--kept")
+    finer = evaluated(run.path, "env.sim.dt=0.004", "--stored")
     assert finer["folder"] not in (first["folder"], other["folder"])
 
 
@@ -88,7 +88,7 @@ def test_metrics_without_a_value_in_any_episode_share_one_line(run):
     alone = succeed("evaluate", run.path, *SHORT).out
     assert "no episode has a value for: drift, " in alone
     assert not [line for line in alone.splitlines() if line.split()[:3:2] == ["drift", "-"]]
-    compared = succeed("evaluate", run.path, "--against", "reference", "--kept", *SHORT).out
+    compared = succeed("evaluate", run.path, "--against", "reference", "--stored", *SHORT).out
     assert "no episode has a value for: stand/cost_of_transport_gross, " in compared
 
 

@@ -152,7 +152,7 @@ def test_folders_of_the_user_are_passed_on(written, capsys, monkeypatch):
     assert str([written]) in told.splitlines()[-1]
 
 
-@pytest.mark.parametrize("word", ["--reference", "--kept"])
+@pytest.mark.parametrize("word", ["--reference", "--stored"])
 def test_a_repeated_result_is_reported_once(written, capsys, word):
     status, told = again(written, capsys, word)
     assert status == 2

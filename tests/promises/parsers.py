@@ -36,6 +36,8 @@ def parser_of(*words: str) -> argparse.ArgumentParser:
 def _read(name: str) -> Command:
     options, arguments = [], []
     for action in parser_of(name)._actions:
+        if action.help == argparse.SUPPRESS:
+            continue
         if action.option_strings:
             options.append(max(action.option_strings, key=len))
         else:

@@ -81,8 +81,8 @@ LINES = [
     Line(f"play {{run}} {ELSEWHERE} --checkpoint 0 --json env.num_envs=2", '"episodes": 2', marks=SLOW),
     Line(f"play {{run}} {ELSEWHERE} --script elsewhere/drive.yaml --scene rough --json", r"\{", marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} {MINE} --checkpoint 0 --json {SHORT}", '"stand/time_to_failure"', marks=SLOW),
-    Line(f"evaluate {{run}} {ELSEWHERE} --against reference --reference --kept {SHORT}", "reference", marks=SLOW),
-    Line(f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --kept {SHORT}", "", "pages", marks=SLOW),
+    Line(f"evaluate {{run}} {ELSEWHERE} --against reference --reference --stored {SHORT}", "reference", marks=SLOW),
+    Line(f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --stored {SHORT}", "", "pages", marks=SLOW),
     Line(f"zero-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---

@@ -40,7 +40,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Convert an error message of argparse to a UsageError, and raise the UsageError."""
-        options = [option for action in self._actions for option in action.option_strings]
+        known = [action for action in self._actions if action.help != argparse.SUPPRESS]
+        options = [option for action in known for option in action.option_strings]
         words = [action for action in self._actions if not action.option_strings]
         wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
         optional = [str(action.metavar) for action in words if str(action.metavar) not in wanted]
@@ -129,6 +130,13 @@ def add_config_dir(parser: argparse.ArgumentParser) -> None:
 def add_root(parser: argparse.ArgumentParser) -> None:
     """Add ``--root``."""
     parser.add_argument("--root", type=Path, default=Path("runs"), help="the folder of the runs (default: runs)")
+
+
+def add_stored(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--stored``; its former name ``--kept`` still works."""
+    text = "use a run's stored evaluation of this protocol instead of a new one"
+    parser.add_argument("--stored", action="store_true", help=text)
+    parser.add_argument("--kept", dest="stored", action="store_true", help=argparse.SUPPRESS)
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -115,7 +115,8 @@ def candidates(words: list[str], word: str) -> list[str]:
 
 
 def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> list[str]:
-    options = {text: action for action in parser._actions for text in action.option_strings}
+    known = [action for action in parser._actions if action.help != argparse.SUPPRESS]
+    options = {text: action for action in known for text in action.option_strings}
     positionals = [action for action in parser._actions if not action.option_strings]
     given: dict[str, list[str]] = {}
     position, waiting = 0, None

@@ -8,13 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, chosen_checkpoint, offer, print_json
+from wheelleg_exp.cli.arguments import (
+    add_config_dir,
+    add_json,
+    add_root,
+    add_stored,
+    chosen_checkpoint,
+    offer,
+    print_json,
+)
 from wheelleg_exp.cli.printing.terminal import shown
 from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
 
 if TYPE_CHECKING:
-    from wheelleg_exp.evaluation.protocol import Tell
+    from wheelleg_exp.evaluation.protocol import Progress
     from wheelleg_exp.jobs.evaluate_policy import Evaluated
     from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -37,8 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--engine", metavar="NAME", help=text)
     text = "evaluate with each of two engines, and compare them in pairs of episodes: mujoco,physx"
     parser.add_argument("--engines", metavar="NAME,NAME", help=text)
-    text = "use a run's stored evaluation of this protocol, and evaluate only the other runs"
-    parser.add_argument("--kept", action="store_true", help=text)
+    add_stored(parser)
     add_config_dir(parser)
     add_root(parser)
     add_json(parser)
@@ -76,7 +83,7 @@ class Evaluator:
     command: list[str]
     config_dirs: list[Path]
     stored: bool
-    tell: Tell
+    progress: Progress
 
     def policy(self, policy: Policy, overrides: Sequence[str]) -> Evaluated:
         """Evaluate the policy of a run, or load the run's stored evaluation."""
@@ -93,14 +100,14 @@ class Evaluator:
                 return jobs.Evaluated(run, checkpoint, folder, found, content)
         from wheelleg_exp.inspection.evaluation_plots import draw
 
-        return jobs.evaluate_run(run, checkpoint, overrides, self.command, self.tell, self.config_dirs, draw)
+        return jobs.evaluate_run(run, checkpoint, overrides, self.command, self.progress, self.config_dirs, draw)
 
     def reference(self, made: Evaluated, overrides: Sequence[str]) -> Evaluated:
         """Evaluate the linear-quadratic reference controller on the robot and task of an evaluated run."""
         from wheelleg_exp.inspection.evaluation_plots import draw
         from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
 
-        return evaluate_reference(made.run, overrides, self.command, self.tell, self.config_dirs, draw)
+        return evaluate_reference(made.run, overrides, self.command, self.progress, self.config_dirs, draw)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
     asked = _request(args)
     with ConsoleDisplay(quiet=True) as display:
-        evaluator = Evaluator(args.command, args.config_dirs, args.kept, display.test)
+        evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         made, against, reference = _evaluate(asked, evaluator)
     if len(made) > 1 or against or reference is not None:
         return _compare(made, against, reference, args.command, asked.engines, json=args.json)

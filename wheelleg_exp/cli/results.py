@@ -7,7 +7,7 @@ import re
 import tempfile
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_root
+from wheelleg_exp.cli.arguments import add_config_dir, add_root, add_stored
 from wheelleg_exp.cli.printing.terminal import shown, tool
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--into", type=Path, default=FOLDER, metavar="DIR", help=text)
     text = "evaluate the linear-quadratic reference controller too, and compare"
     parser.add_argument("--reference", action="store_true", help=text)
-    parser.add_argument("--kept", action="store_true", help="use a run's stored evaluation of this protocol")
+    add_stored(parser)
     parser.add_argument("--replace", action="store_true", help="replace a result of this name")
     text = "re-run the recorded trainings and evaluations, and compare bit by bit"
     parser.add_argument("--again", action="store_true", help=text)
@@ -63,7 +63,7 @@ def _write(args: argparse.Namespace) -> int:
     chosen = found(names, args.root)
     require_one_method([one.run for one in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
-        evaluator = Evaluator(args.command, args.config_dirs, args.kept, display.test)
+        evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         made = [evaluator.policy(one, words) for one in chosen]
         reference = evaluator.reference(made[0], words) if args.reference else None
     compared = compare_with_reference(args.name, made, reference, args.command)
@@ -80,7 +80,7 @@ def _again(args: argparse.Namespace) -> int:
     from wheelleg_exp.run.run_directory import RunDirectory
 
     names = list(dict.fromkeys((args.name, *args.runs)))
-    if args.reference or args.kept or args.replace:
+    if args.reference or args.stored or args.replace:
         message = "the record determines the evaluations"
         raise WheellegError(message, key="--again", expected="--again without options of evaluations")
     pages = sorted(path.stem for path in args.into.glob("*.json"))

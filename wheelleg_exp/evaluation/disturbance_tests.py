@@ -16,7 +16,7 @@ from wheelleg_exp.constraints import Node
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
 from wheelleg_exp.evaluation.motion_columns import Columns
-from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Rollout, Tell
+from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Progress, Rollout
 from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Jump, Push, Robust
 from wheelleg_exp.evaluation.trajectories import Trajectories, largest, last_exit, mean
 from wheelleg_exp.sim.options import EnvOptions
@@ -70,7 +70,7 @@ PUSH_COLUMNS = ("limit_m_s", "limit_normalised", "recovery_s", "recovered", "til
 
 
 def push_columns(
-    rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, tell: Tell | None
+    rollout: Rollout, policy: Policy, options: Push, seed: int, target: float | None, progress: Progress | None
 ) -> tuple[Columns, Trajectories]:
     """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
@@ -87,11 +87,11 @@ def push_columns(
     rolls = options.iterations + 1
     for iteration in range(options.iterations):
         middle = (low + high) / 2
-        made = rollout.roll(policy, seed, _part(tell, iteration, rolls), pushes.of(middle))
+        made = rollout.roll(policy, seed, _part(progress, iteration, rolls), pushes.of(middle))
         # The hardest survived push is between ``low`` and ``high``: a fall lowers ``high``, survival raises ``low``.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
-    made = rollout.roll(policy, seed, _part(tell, options.iterations, rolls), pushes.of(reference))
+    made = rollout.roll(policy, seed, _part(progress, options.iterations, rolls), pushes.of(reference))
     limit = torch.where(low > 0, (low + high) / 2, 0.0).double()
     before = made.counted(0.0, options.at_s)
     height = mean(made.height, before) if target is None else torch.full_like(limit, target)
@@ -113,9 +113,9 @@ def recovery(made: Trajectories, options: Push | Jump | GetUp, height: torch.Ten
     }
 
 
-def _part(tell: Tell | None, part: int, parts: int) -> Tell | None:
+def _part(progress: Progress | None, part: int, parts: int) -> Progress | None:
     """Return a callback that converts the progress of one rollout to the progress of the whole test."""
-    return None if tell is None else lambda done, of: tell(part * of + done, parts * of)
+    return None if progress is None else lambda done, of: progress(part * of + done, parts * of)
 
 
 @dataclass(frozen=True)

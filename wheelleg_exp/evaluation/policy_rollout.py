@@ -84,7 +84,7 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> 
 
 
 Policy = Callable[[Mapping[str, Any]], torch.Tensor]
-Tell = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 
 # An evaluation ends an episode if the robot tilts too far, or if a state or an action is not finite.
@@ -128,12 +128,14 @@ class Rollout:
         return observations
 
     @torch.inference_mode()
-    def roll(self, policy: Policy, seed: int, tell: Tell | None = None, disturb: Disturb | None = None) -> Trajectories:
+    def roll(
+        self, policy: Policy, seed: int, progress: Progress | None = None, disturb: Disturb | None = None
+    ) -> Trajectories:
         """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
-        The policy maps observations by group to raw actions (N, A). After each control step, ``tell`` is called with
-        the number of finished steps and the number of all steps. ``disturb`` is called with the number of each control
-        step, before the step.
+        The policy maps observations by group to raw actions (N, A). After each control step, ``progress`` is called
+        with the number of finished steps and the number of all steps. ``disturb`` is called with the number of each
+        control step, before the step.
         """
         env = self.env
         observations = self.start(seed)
@@ -160,8 +162,8 @@ class Rollout:
             alive = alive & ~failed
             made.take(step, env, self.parts, self._meter, command, actions, alive, self._force)
             made.end(step, failed, why)
-            if tell is not None:
-                tell(step + 1, self.steps)
+            if progress is not None:
+                progress(step + 1, self.steps)
             if not bool(alive.any()):
                 break
         return made

@@ -29,7 +29,7 @@ from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, ta
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
-from wheelleg_exp.evaluation.policy_rollout import Tell as RolloutTell
+from wheelleg_exp.evaluation.policy_rollout import Progress as RolloutProgress
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
 from wheelleg_exp.evaluation.scenarios import Scenarios
@@ -38,7 +38,7 @@ from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.terms.config_sections import read_section
 
 MakePolicy = Callable[[ManagerBasedRLEnv], Policy]
-Tell = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Subject:
     make_policy: MakePolicy
     protocol: Protocol
     seed: int
-    tell: Tell | None = None
+    progress: Progress | None = None
 
     def options(self, table: Scenarios) -> EnvOptions:
         """Return the environment's options with one environment for each episode of a table of test scenarios."""
@@ -61,10 +61,10 @@ class Subject:
         """Build an environment that simulates all episodes of a table of test scenarios in parallel."""
         return Rollout(build(env, self.mjcf, self.seed), table, self.protocol)
 
-    def teller(self, test: str) -> RolloutTell | None:
+    def progress_of(self, test: str) -> RolloutProgress | None:
         """Return the progress callback for one test of an evaluation protocol."""
-        tell = self.tell
-        return None if tell is None else lambda done, of: tell(test, done, of)
+        progress = self.progress
+        return None if progress is None else lambda done, of: progress(test, done, of)
 
     @property
     def target(self) -> float | None:
@@ -78,18 +78,18 @@ def evaluate(
     make_policy: MakePolicy,
     protocol: Mapping[str, object],
     seed: int | None = None,
-    tell: Tell | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
     ``env`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a
     policy, which maps observations by group to raw actions (N, A). Before each rollout, the policy's method ``reset``
-    is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``tell`` is called
-    with the name of a test, the number of finished control steps, and the number of all steps.
+    is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``progress`` is
+    called with the name of a test, the number of finished control steps, and the number of all steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
-    subject = Subject(read_env(env), mjcf, make_policy, options, seed, tell)
+    subject = Subject(read_env(env), mjcf, make_policy, options, seed, progress)
     tables = _tables(options)
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}
@@ -164,13 +164,13 @@ def _run(subject: Subject, table: Scenarios) -> Part:
     if table.test == "robust":
         return _in_changed_worlds(subject, table)
     rollout = _placed(subject, table)
-    policy, tell = subject.make_policy(rollout.env), subject.teller(table.test)
+    policy, progress = subject.make_policy(rollout.env), subject.progress_of(table.test)
     if table.test == "push" and subject.protocol.push is not None:
-        columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, tell)
+        columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, progress)
         columns |= motion_columns.survival(made, [])
     else:
         ramp = subject.protocol.get_up.ramp_s if table.test == "get_up" and subject.protocol.get_up else 0.0
-        made = rollout.roll(policy, subject.seed, tell, gain_ramp(rollout, ramp) if ramp else None)
+        made = rollout.roll(policy, subject.seed, progress, gain_ramp(rollout, ramp) if ramp else None)
         columns = _columns(subject, rollout, made)
     return Part(table.test, rollout.starts, identity(rollout, made) | _numbers(columns), about(rollout))
 
@@ -197,7 +197,7 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     options = subject.protocol.robust
     assert options is not None
     env, found, starts = subject.options(table), list[dict[str, Array]](), list[str]()
-    each, tell, margins = list(worlds(env, options)), subject.teller(table.test), options.margins or {}
+    each, progress, margins = list(worlds(env, options)), subject.progress_of(table.test), options.margins or {}
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
         columns = _world_columns(subject, rollout, made)
@@ -205,8 +205,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         names["world"] = np.full(table.size, float(number))
         found.append(identity(rollout, made) | names | _numbers(columns))
         starts.append(rollout.starts)
-        if tell is not None:
-            tell(number + 1, len(each) + len(margins))
+        if progress is not None:
+            progress(number + 1, len(each) + len(margins))
     for number, (name, highest) in enumerate(margins.items()):
 
         def survival(value: float, name: str = name) -> float:
@@ -216,8 +216,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
         # The margins are properties of the policy, so each episode of the unchanged simulation has the same value.
         step = env.sim.dt if name.endswith("_s") else 0.0  # Delays are rounded to physics steps.
         found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options, step))
-        if tell is not None:
-            tell(len(each) + number + 1, len(each) + len(margins))
+        if progress is not None:
+            progress(len(each) + number + 1, len(each) + len(margins))
     return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))
 
 

@@ -38,7 +38,7 @@ from wheelleg_exp.evaluation.method_comparison import (
     push_verdict,
     verdict,
 )
-from wheelleg_exp.evaluation.protocol import MakePolicy, Tell, evaluate
+from wheelleg_exp.evaluation.protocol import MakePolicy, Progress, evaluate
 from wheelleg_exp.evaluation.protocol_options import EvaluateRoot, Protocol
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
 from wheelleg_exp.files import for_people, write_json, write_text
@@ -134,18 +134,18 @@ def evaluate_run(
     checkpoint: Path | None,
     overrides: Sequence[str],
     command: Sequence[str],
-    tell: Tell | None = None,
+    progress: Progress | None = None,
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
     """Evaluate the mean action of a run's policy, and save the result in the run directory.
 
-    If ``checkpoint`` is None, the last checkpoint of the run is evaluated. ``tell`` receives the progress: the name of
+    If ``checkpoint`` is None, the last checkpoint of the run is evaluated. ``progress`` is called with the name of
     the current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     tree = evaluation_settings(run, overrides, config_dirs)
-    found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), tell)
+    found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), progress)
     content = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides), **found.as_dict()}
     return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
 
@@ -154,7 +154,7 @@ def evaluate_reference(
     run: RunDirectory,
     overrides: Sequence[str],
     command: Sequence[str],
-    tell: Tell | None = None,
+    progress: Progress | None = None,
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
@@ -170,7 +170,7 @@ def evaluate_reference(
         made.append(Reference(env, tree["protocol"]["command"]))
         return made[-1]
 
-    found = _evaluate(tree, saved_mjcf(run), make, tell)
+    found = _evaluate(tree, saved_mjcf(run), make, progress)
     content = {"policy": Reference.name, **made[0].describe(), "overrides": list(overrides), **found.as_dict()}
     return Evaluated(run, None, _save(run, Reference.name, content, found, command, draw), found, content)
 
@@ -197,8 +197,8 @@ def _save(
 
 
 @ending_as(SimulationFailure)
-def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, tell: Tell | None) -> Evaluation:
-    return evaluate(tree["env"], mjcf, make_policy, tree["protocol"], tree["seed"], tell=tell)
+def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, progress: Progress | None) -> Evaluation:
+    return evaluate(tree["env"], mjcf, make_policy, tree["protocol"], tree["seed"], progress=progress)
 
 
 def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
