@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from evaluation.synthetic import DT, fall, parts, still, times
-from wheelleg_exp.evaluation import motion_columns
+from wheelleg_exp.evaluation import disturbance_tests, motion_columns
 from wheelleg_exp.evaluation.disturbance_tests import recovery
 from wheelleg_exp.evaluation.metric_catalogue import measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Motion, impact, jump, resting_sides
@@ -226,6 +227,21 @@ def test_the_last_exit_counts_and_not_the_first():
     assert float(last_exit(outside, window, 0.1)[0]) == pytest.approx(6.0)
     outside[-1] = True
     assert math.isnan(float(last_exit(outside, window, 0.1)[0]))
+
+
+def test_pushes_add_up_to_their_change_of_velocity_over_their_length(monkeypatch):
+    """The first two robots are pushed in one step, the others over three steps: forwards, or backwards."""
+    given = []
+    monkeypatch.setattr(disturbance_tests, "add_velocity", lambda env, change: given.append(change))
+    cells = SimpleNamespace(cell_of=lambda: torch.arange(4))
+    rollout = SimpleNamespace(env=SimpleNamespace(step_dt=0.02, device="cpu"), scenarios=cells)
+    options = SimpleNamespace(directions=2, pulses_s=[0.0, 0.06], at_s=0.1)
+    push = disturbance_tests.Pushes(rollout, options).of(torch.tensor([1.0, 1.0, 0.6, 0.6]))
+    lengths = [push(step) or len(given) for step in range(12)]
+    assert lengths == [0] * 5 + [1, 2] + [3] * 5
+    changes = torch.stack(given)[:, :, 0]
+    torch.testing.assert_close(changes[0], torch.tensor([1.0, -1.0, 0.2, -0.2]))
+    torch.testing.assert_close(changes.sum(dim=0), torch.tensor([1.0, -1.0, 0.6, -0.6]))
 
 
 def test_recovery_is_when_tilt_and_height_are_back_for_good():

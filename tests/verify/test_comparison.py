@@ -17,6 +17,7 @@ from wheelleg_exp.files import dump_json
 from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.verify import compare_runs, environment_differences
 from wheelleg_exp.verify.run_differences import decides
+from wheelleg_exp.verify.run_parts import Span
 
 
 @pytest.fixture
@@ -194,6 +195,12 @@ def test_digests_of_different_definitions_are_not_compared(a, b):
     for iteration in synthetic.CHECKPOINTS:
         b.checkpoint(iteration).unlink()
     assert "not shown to be equal" in compared(a, b).reason
+
+
+def test_damage_of_the_compared_iterations_alone_counts():
+    names = ("iterations.jsonl", "model_1.pt", "model_2.pt", "recording.rrd")
+    assert [Span(2, whole=False, closed=False).covers(name) for name in names] == [True, True, False, False]
+    assert all(Span(2, whole=True, closed=False).covers(name) for name in names)
 
 
 def test_a_missing_checkpoint_is_reported_and_a_damaged_one_is_different(a, b):
