@@ -12,6 +12,8 @@ import pytest
 from wheelleg_exp.asset import convert, convert_cached, source_digest
 from wheelleg_exp.paths import find_asset
 
+from .small_usd import link, write
+
 LAYERS = {"wheelleg.usda", *(f"configuration/wheelleg_{part}.usda" for part in ("base", "physics", "sensor"))}
 
 
@@ -75,6 +77,15 @@ def test_options_have_entries_of_their_own(robot, tmp_path):
     options = ({}, {"base": "fixed"}, {"variants": {"Sensor": "None"}})
     keys = {convert_cached(robot, cache_dir=tmp_path / "cache", **option).key for option in options}
     assert len(keys) == 3
+
+
+def test_variants_of_one_layer_have_entries_of_their_own(tmp_path):
+    texts = {"short": link("a"), "long": link("a") + link("b")}
+    body = "".join(f'"{name}" {{\n{text}}}\n' for name, text in texts.items())
+    path = write(tmp_path, f'variantSet "legs" = {{\n{body}}}\n')
+    change(path, 'def Xform "bot" ', 'def Xform "bot" (prepend variantSets = "legs")')
+    made = [convert_cached(path, cache_dir=tmp_path / "cache", variants={"legs": name}) for name in texts]
+    assert [mujoco.MjModel.from_xml_path(str(one.output)).nbody for one in made] == [2, 3]
 
 
 def _work(arguments: tuple[str, str]) -> bytes:

@@ -43,7 +43,7 @@ def test_a_name_that_no_folder_should_have_is_refused(tmp_path, name):
 
 @pytest.mark.parametrize("task", ["agents", "sweeps", "latest"])
 def test_a_task_cannot_take_a_name_that_means_something_else(tmp_path, task):
-    with pytest.raises(ConfigError, match="is reserved and cannot be the name"):
+    with pytest.raises(ConfigError, match=r"task\.name: .* is reserved and cannot be the name"):
         RunDirectory.create(tmp_path, task, 0)
 
 
