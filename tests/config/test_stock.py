@@ -1,6 +1,7 @@
 from itertools import zip_longest
 
 import pytest
+import yaml
 from omegaconf import OmegaConf
 from small_tree import replayed
 
@@ -9,6 +10,7 @@ from wheelleg_exp.config.checking.find_mistakes import check
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.schema import Experiment
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.jobs.pipeline.pipeline_phases import PipelineRoot
 from wheelleg_exp.paths import configs_dir
@@ -24,6 +26,36 @@ def test_a_stock_task_has_no_mistakes_and_its_replay_equals_its_composition(task
     assert [str(error) for error in check(composed)] == []
     assert replayed(composed.provenance) == OmegaConf.to_container(composed.raw, resolve=False)
     assert [path for path, source in composed.provenance.items() if source.line is None] == []
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_stock_task_is_one_step_above_a_base_and_sets_its_weights_and_few_silences(task):
+    folder = configs_dir() / "task"
+    own = yaml.safe_load((folder / f"{task}.yaml").read_text(encoding="utf-8"))
+    (parent,) = [entry for entry in own["defaults"] if isinstance(entry, str) and entry != "_self_"]
+    assert (folder / f"{parent}.yaml").is_relative_to(folder / "base")
+    assert len(own.get("check", {}).get("silence", {})) <= 5
+    composed = compose([f"task={task}"])
+    weights = [composed.provenance[f"env.rewards.{name}.weight"] for name in composed.config["env"]["rewards"]]
+    assert [source.where for source in weights if folder not in source.file.parents] == []
+
+
+def test_a_base_of_tasks_is_not_listed_and_names_the_key_that_a_task_must_set():
+    assert [entry.name for entry in catalog.tasks()] == TASKS
+    for base in (configs_dir() / "task" / "base").glob("*.yaml"):
+        with pytest.raises(ConfigError, match=r"task\.name: this value is missing \(configs/task/base/level\.yaml"):
+            compose([f"task=base/{base.stem}"])
+
+
+def test_stock_terms_use_the_names_and_sizes_of_the_robot_file_and_by_default_those_of_the_stock_robot(tmp_path):
+    (tmp_path / "robot").mkdir()
+    file = tmp_path / "robot" / "mine.yaml"
+    for text, radius, legs in (("", 0.02, [".*0[12]$"]), ("wheel_radius: 0.1\njoint_sets: {legs: [hip]}\n", 0.1, ["hip"])):
+        file.write_text(f"# @package env.robot\nprofile: mine\n{text}")
+        env = compose(["task=jump", "robot=mine"], config_dirs=[tmp_path]).config["env"]
+        rewards = env["rewards"]
+        assert (env["commands"]["base_velocity"]["wheel_radius"], rewards["jump_clearance"]["rest"]) == (radius, radius)
+        assert (rewards["leg_joint_deviation"]["asset_cfg"]["joint_names"], rewards["jump_apex"]["rest"]) == (legs, 0.07)
 
 
 @pytest.mark.parametrize("primary", PRIMARIES)

@@ -235,13 +235,37 @@ init_state:
 joint_order: null                  # breadth first, as in PhysX; or a list of all joints
 soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
-{_frame(robot)}{_self_collisions(robot)}actuators:
+{_sizes_and_names(robot)}{_frame(robot)}{_self_collisions(robot)}actuators:
 {groups}"""
 
 
 def spawn_height(robot: Survey) -> float:
     """Return the height of the root link at which the lowest collider touches the ground, m, rounded up."""
     return round(math.ceil(robot.facts.standing_height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
+
+
+def _sizes_and_names(robot: Survey) -> str:
+    """Return the keys to which the stock terms refer, such as ``${env.robot.joint_sets.legs}``."""
+    pairs = [pair for pair in robot.anatomy.mirrored if pair.left in robot.legs and pair.right in robot.legs]
+    joints = {
+        "legs": robot.legs,
+        "wheels": robot.wheels,
+        "left_legs": [pair.left for pair in pairs],
+        "right_legs": [pair.right for pair in pairs],
+        "leg_actions": robot.legs,
+        "wheel_actions": robot.wheels,
+    }
+    legs = [name for name in robot.raised_bodies if name != robot.trunk]
+    bodies = {"base": [robot.trunk], "legs": legs, "wheels": robot.wheel_bodies}
+    return f"""standing_height: {number(robot.facts.standing_height)}    # m, of the root link in the default pose
+wheel_radius: {number(robot.radius) if robot.wheels else "null"}    # m
+joint_sets:    # joints by role, to which terms refer; actions in this order
+{_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
+{_named_lists(bodies)}"""
+
+
+def _named_lists(lists: Mapping[str, Sequence[str]]) -> str:
+    return "".join(f"  {role}: {names(members, 4, len(role) + 4)}\n" for role, members in lists.items())
 
 
 def _frame(robot: Survey) -> str:

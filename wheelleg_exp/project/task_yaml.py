@@ -30,7 +30,7 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
         files[f"action/{name}_legs.yaml"] = f"""# Legs: position targets around the default pose.
 {name}_legs:
   _target_: wheelleg_exp.mdp.actions.JointPositionAction
-  joint_names: {names(robot.legs, 4, 15)}
+  joint_names: ${{env.robot.joint_sets.leg_actions}}
   scale: {number(_leg_scale(robot), 2)}    # rad per unit of action
   use_default_offset: true
 """
@@ -43,13 +43,13 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   asset_cfg:
     {_ENTITY}
     name: robot
-    joint_names: {names(robot.legs, 6, 17)}
+    joint_names: ${{env.robot.joint_sets.legs}}
 {clip}"""
     if robot.wheels:
         files[f"action/{name}_wheels.yaml"] = f"""# Wheels: velocity targets.
 {name}_wheels:
   _target_: wheelleg_exp.mdp.actions.JointVelocityAction
-  joint_names: {names(robot.wheels, 4, 15)}
+  joint_names: ${{env.robot.joint_sets.wheel_actions}}
   scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
 """
     if robot.raised_bodies:
@@ -145,7 +145,6 @@ def _events(robot: Survey) -> str:
     weight = robot.facts.weight
     low, high = (number(share * robot.trunk_mass, 2) for share in _LOAD)
     force, torque = number(_FORCE * weight, 2), number(_TORQUE * weight * robot.size, 2)
-    trunk = names([robot.trunk], 8)
     # Reduce the reset event's random tilt if its default range would put a wheel or foot into the ground.
     anatomy = robot.anatomy
     # Without wheels, assume that each foot is half of the robot's size away from the robot's middle.
@@ -158,13 +157,10 @@ def _events(robot: Survey) -> str:
     ranges = ", ".join(f"{axis}: [-{tilt}, {tilt}]" for axis, tilt in most.items())
     tilts = f"    reset_base: {{pose_range: {{{ranges}}}}}    # rad: more puts a wheel or foot into the ground\n"
     return f"""  events:                  # the stock disturbances, sized for {robot.facts.mass:.3g} kg
-    add_base_mass:
-      mass_distribution_params: [{low}, {high}]    # kg
-      asset_cfg: {{body_names: {trunk}}}
+    add_base_mass: {{mass_distribution_params: [{low}, {high}]}}    # kg
     base_external_force_torque:
       force_range: [-{force}, {force}]          # N
       torque_range: [-{torque}, {torque}]       # N·m
-      asset_cfg: {{body_names: {trunk}}}
     physics_material: {{restitution_range: [0.0, 0.0]}}    # MuJoCo has none
     reset_robot_joints: {{velocity_range: [1.0, 1.0]}}     # a factor on defaults of 0
 {tilts if ranges else ""}"""
@@ -173,9 +169,7 @@ def _events(robot: Survey) -> str:
 def _rewards(robot: Survey) -> str:
     size = robot.size
     text = f"""  rewards:                 # per second, sized for a robot that is {size:.3g} m high
-    base_height:
-      weight: {number(-1.0 / (_ERROR * size) ** 2, 2)}    # an error of a fifth of the height costs 1/s
-      target_height: {number(robot.facts.standing_height)}    # m, of the default pose
+    base_height: {{weight: {number(-1.0 / (_ERROR * size) ** 2, 2)}}}    # an error of a fifth of the height costs 1/s
     action_rate: {{weight: {number(-0.4 / max(1, len(robot.legs) + len(robot.wheels)), 2)}}}
 """
     if robot.level:
@@ -187,15 +181,9 @@ def _rewards(robot: Survey) -> str:
     track_ang_vel_z: {{weight: 1.0, std: {number(turning, 2)}}}   # rad/s
 """
     if robot.legs:
-        text += f"""    leg_joint_deviation:
-      weight: -0.5
-      asset_cfg: {{joint_names: {names(robot.legs, 8, 31)}}}
-"""
+        text += "    leg_joint_deviation: {weight: -0.5}\n"
     if robot.wheels:
-        text += f"""    wheel_air:
-      threshold: {_threshold(robot)}    # N
-      sensor_cfg: {{body_names: {names(robot.wheel_bodies, 8, 31)}}}
-"""
+        text += f"    wheel_air: {{threshold: {_threshold(robot)}}}    # N\n"
     return text
 
 

@@ -147,6 +147,10 @@ class RobotOptions:
         self_collisions: whether the robot's own bodies collide; null uses the asset's setting.
         root_frame: orientation of the root link's frame relative to the file's, (w, x, y, z), for a file without x
             forwards and z upwards; null uses the file's frame.
+        standing_height: height of the root link above the ground in the default pose, m.
+        wheel_radius: radius of the wheels, m.
+        joint_sets: joint expressions by role. Terms refer to them, for example by ``${env.robot.joint_sets.legs}``.
+        body_sets: body expressions by role, likewise.
     """
 
     profile: str
@@ -160,6 +164,10 @@ class RobotOptions:
     self_collisions: bool | None = None
     root_frame: Annotated[Sequence[float], Length(4), NotAllZero()] | None = None
     friction_combine_mode: CombineMode = "average"
+    standing_height: Positive | None = None
+    wheel_radius: Positive | None = None
+    joint_sets: dict[str, list[str]] = field(default_factory=dict)
+    body_sets: dict[str, list[str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
