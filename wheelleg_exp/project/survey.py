@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +29,7 @@ from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.conversion_report import size_problem
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.errors import AssetError, named_as
-from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
@@ -139,7 +138,9 @@ class Survey:
         return self.up[2] >= _LEVEL
 
 
-def survey(source: Path, env: Mapping[str, Any], pose: Mapping[str, float], *, allow_missing: bool = False) -> Survey:
+def survey(
+    source: Path, env: Mapping[str, object], pose: Mapping[str, float], *, allow_missing: bool = False
+) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
     ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps regular expressions of joint
