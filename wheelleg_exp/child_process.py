@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import IO, Any, TypeVar, cast
+from typing import IO, Any, Literal, Required, TypedDict, TypeVar, cast
 
 from wheelleg_exp.errors import (
     EXIT_FAILED,
@@ -40,7 +40,34 @@ from wheelleg_exp.errors import (
 from wheelleg_exp.machine import own_environ, prepare_threads, used_memory
 from wheelleg_exp.stop_request import StopRequest
 
-Event = dict[str, Any]
+
+class JobError(TypedDict):
+    """The error with which a job failed."""
+
+    type: str
+    message: str
+
+
+class Event(TypedDict, total=False):
+    """A message of a job's process; the value of ``event`` determines which other keys exist."""
+
+    event: Required[str]
+    path: str
+    done: int
+    total: int
+    scalars: dict[str, float]
+    text: str
+    package: str
+    equal: bool
+    difference: str | None
+    note: str | None
+    folder: str
+    metrics: dict[str, float | None]
+    scenarios_sha256: str
+    status: Literal["finished", "failed", "interrupted"]
+    error: JobError | None
+
+
 _READY = b"ready\n"
 _T = TypeVar("_T")
 _SET_PATH = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer)"
@@ -160,7 +187,7 @@ def parse_event(line: str) -> Event | None:
         event = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
+    return cast("Event", event) if isinstance(event, dict) and isinstance(event.get("event"), str) else None
 
 
 @contextmanager
@@ -190,9 +217,9 @@ def _events(child: Child, stop: StopRequest) -> Iterator[Event]:
         raise SimulationFailure(f"the job's process {child.describe_death()}")
     if ended is None or ended["status"] == "interrupted":
         raise Interrupted
-    if ended["status"] == "failed":
+    if error := ended.get("error"):
         kind: type[WheellegError] = RunDirectoryError if status == EXIT_INPUT else SimulationFailure
-        raise kind(str(ended["error"]["message"]))
+        raise kind(str(error["message"]))
 
 
 def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:

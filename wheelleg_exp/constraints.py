@@ -180,7 +180,7 @@ class Broken(NamedTuple):
     expected: str
 
 
-Rule = Callable[[Mapping[str, Any]], Iterator[Broken]]
+Rule = Callable[[Mapping[str, object]], Iterator[Broken]]
 _Target = TypeVar("_Target", bound=Callable[..., Any])
 _RULES = "_relations"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 SHARE = "share"  # shown as a percentage
 STEPS = "steps"  # control steps
@@ -288,7 +287,7 @@ DRIVE = {
 }  # fmt: skip
 
 
-def drive_rows(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def drive_rows(figures: Mapping[str, object]) -> Iterator[tuple[str, str]]:
     """Yield table rows (label, value) about a session in which a user steers the robot."""
     for key, definition in DRIVE.items():
         value = figures[key]
@@ -301,8 +300,8 @@ def drive_rows(figures: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield definition.label, _number_text(value) + unit
 
 
-def _number_text(value: float) -> str:
-    return f"{value}" if isinstance(value, int) else f"{value:.3f}"
+def _number_text(value: object) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else f"{value}"
 
 
 # --- recordings ---

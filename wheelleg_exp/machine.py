@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from wheelleg_exp.errors import ConfigError, WheellegError
@@ -128,7 +128,11 @@ def spins() -> str:
 
 # MKL_CBWR selects one code path for matrices, so that the number of threads does not change results.
 # With OMP_WAIT_POLICY=PASSIVE, idle threads sleep after GOMP_SPINCOUNT turns of a busy loop.
-VARIABLES = {"MKL_CBWR": matrix_kernels, "GOMP_SPINCOUNT": spins, "OMP_WAIT_POLICY": lambda: "PASSIVE"}
+VARIABLES: dict[str, Callable[[], str]] = {
+    "MKL_CBWR": matrix_kernels,
+    "GOMP_SPINCOUNT": spins,
+    "OMP_WAIT_POLICY": lambda: "PASSIVE",
+}
 _chosen: set[str] = set()  # set by this program
 
 

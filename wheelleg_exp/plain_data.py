@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Hashable
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 from zipfile import ZipFile
 
 import yaml
 
 from wheelleg_exp.errors import RunDirectoryError
 
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+if TYPE_CHECKING:
+    _Loader = yaml.SafeLoader
+else:
+    _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_T = TypeVar("_T")
 # YAML can have at most 200 nested levels, because much deeper nesting crashes the C parser.
 _DEEPEST = 200
 _MOST_NODES = 1_000_000  # after expanding aliases
@@ -64,7 +68,7 @@ def tagged_yaml_value(data: bytes | str) -> Any:
 
 def yaml_tree(data: bytes | str) -> yaml.Node | None:
     """Return the nodes of a YAML text, each with its line number, as a tree."""
-    return _read(data, lambda: yaml.compose(data, Loader=_LOADER), aliases=True)
+    return _read(data, lambda: yaml.compose(data, Loader=_Loader), aliases=True)
 
 
 def require_bounded(archive: ZipFile) -> None:
@@ -76,7 +80,7 @@ def require_bounded(archive: ZipFile) -> None:
         raise Unreadable("the archive contains two files that overlap")
 
 
-class _PlainLoader(_LOADER):
+class _PlainLoader(_Loader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[Any] = set()
         for key, _ in node.value:
@@ -90,12 +94,13 @@ class _TaggedLoader(_PlainLoader):
     pass
 
 
-def _untagged(loader: Any, suffix: str, node: yaml.Node) -> Any:
+def _untagged(loader: _TaggedLoader, suffix: str, node: yaml.Node) -> object:
     if isinstance(node, yaml.MappingNode):
         return loader.construct_mapping(node, deep=True)
     if isinstance(node, yaml.SequenceNode):
         content = loader.construct_sequence(node, deep=True)
         return None if suffix.endswith("slice") and not any(content) else content
+    assert isinstance(node, yaml.ScalarNode)
     return suffix.split(":", 1)[1] if suffix.startswith("python/name:") else loader.construct_scalar(node)
 
 
@@ -103,7 +108,7 @@ _TaggedLoader.add_multi_constructor("tag:yaml.org,2002:", _untagged)
 _TaggedLoader.add_multi_constructor("!", _untagged)
 
 
-def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
+def _read(data: bytes | str, read: Callable[[], _T], *, aliases: bool) -> _T:
     try:
         # Refuse a YAML text with deep nesting, with forbidden aliases, or with aliases that expand to too many nodes.
         raw = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
@@ -111,7 +116,7 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
             sizes: dict[str | None, int] = {}
             above: list[tuple[str | None, int]] = []
             total = 0
-            for event in yaml.parse(data, Loader=_LOADER):
+            for event in yaml.parse(data, Loader=_Loader):
                 line = None if event.start_mark is None else event.start_mark.line + 1
                 if isinstance(event, yaml.AliasEvent) and not aliases:
                     raise Unreadable("the YAML text contains references to anchors", line)
@@ -136,9 +141,9 @@ def _read(data: bytes | str, read: Any, *, aliases: bool) -> Any:
         raise Unreadable(f"a value of the YAML text cannot be read ({type(error).__name__}: {error})") from error
 
 
-def _bounded(value: Any) -> Any:
+def _bounded(value: _T) -> _T:
     """Return ``value``; raise Unreadable if ``value`` is nested too deeply or has an integer beyond float's range."""
-    waiting = [(value, 0)]
+    waiting: list[tuple[object, int]] = [(value, 0)]
     while waiting:
         node, depth = waiting.pop()
         if isinstance(node, (dict, list)):
@@ -150,7 +155,7 @@ def _bounded(value: Any) -> Any:
     return value
 
 
-def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _without_repeats(pairs: list[tuple[str, object]]) -> dict[str, object]:
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
@@ -159,7 +164,7 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _no_number(name: str) -> Any:
+def _no_number(name: str) -> NoReturn:
     raise Unreadable(f"{name} is not a valid number in JSON")
 
 
@@ -173,7 +178,7 @@ _ODD_LINE_END = re.compile("[\r\x85\u2028\u2029\ufeff]")
 
 
 class _PlainDumper(yaml.SafeDumper):
-    def ignore_aliases(self, _: Any) -> bool:
+    def ignore_aliases(self, _: object) -> bool:
         return True  # Write a value that occurs twice as two copies, so that the YAML text contains no anchors.
 
 
@@ -186,7 +191,7 @@ def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _PlainDumper.add_representer(str, _represent_text)
 
 
-def dump_yaml(value: Any) -> str:
+def dump_yaml(value: object) -> str:
     """Return ``value`` as YAML text from which ``yaml.safe_load`` restores an equal value.
 
     ``value`` can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
@@ -194,12 +199,13 @@ def dump_yaml(value: Any) -> str:
     ``str``, ``int``, or ``float`` raise RunDirectoryError, because YAML would not preserve the subclass.
     """
     require_plain(value)
-    return yaml.dump(
+    text: str = yaml.dump(
         value, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True, width=2**16, default_flow_style=False
     )
+    return text
 
 
-def require_plain(value: Any, path: str = "") -> None:
+def require_plain(value: object, path: str = "") -> None:
     """Raise RunDirectoryError, with the key of the wrong element, if ``dump_yaml`` cannot write ``value``."""
     if type(value) is dict:
         for key, item in value.items():

@@ -169,7 +169,7 @@ def chosen_checkpoint(directory: RunDirectory, asked: str | None) -> Path:
     return checkpoint
 
 
-def source_document(source: Source) -> dict[str, Any]:
+def source_document(source: Source) -> dict[str, object]:
     """Return the file, line, or override that set a config value, as a JSON document."""
     file = None if source.file is None else str(source.file)
     facts = {"path": source.path, "value": source.value, "where": source.where}

@@ -350,7 +350,7 @@ def _screenshot(args: argparse.Namespace, inspected: Inspected) -> Result:
         viewer_screenshot(inspected.target.path, args.screenshot, time_s=time_s, width=width, height=height)
     else:
         recording_pictures.save(shown, row, args.screenshot, *_size(args, 1280, 720))
-    facts: dict[str, Any] = {"time_s": time_s, "step": int(shown.motion.step[row])}
+    facts: dict[str, object] = {"time_s": time_s, "step": int(shown.motion.step[row])}
     facts |= {"iteration": shown.motion.iteration_at(row), "env": shown.source.env_id}
     return _written(args.screenshot, facts, f" ({_environment(shown.env_id)}t = {time_s:.3f} s)")
 
@@ -381,7 +381,12 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
         height=height,
         progress=progress if sys.stderr.isatty() else None,
     )
-    facts: dict[str, Any] = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration, "codec": done.codec}
+    facts: dict[str, object] = {
+        "frames": done.frames,
+        "fps": done.fps,
+        "duration_s": done.duration,
+        "codec": done.codec,
+    }
     facts["env"] = inspected.recording.env_ids[0] if inspected.selection.env_id is None else inspected.selection.env_id
     text = f" ({_environment(done.env_id)}{done.frames} pictures, {done.duration:.1f} s, {done.codec})"
     return _written(args.video, facts, text)
@@ -407,7 +412,7 @@ def _web(args: argparse.Namespace, inspected: Inspected) -> Result:
     return Result({"closed": True}, lambda: None)
 
 
-def _written(path: Path, facts: dict[str, Any], text: str = "") -> Result:
+def _written(path: Path, facts: dict[str, object], text: str = "") -> Result:
     return Result({"path": str(path), **facts}, lambda: print(f"wrote {path}{text}"))
 
 

@@ -33,7 +33,7 @@ class Listed(NamedTuple):
 
     columns: list[str]
     rows: list[list[Any]]
-    documents: list[dict[str, Any]]
+    documents: list[dict[str, object]]
     no_rows: str = ""
 
 
@@ -234,7 +234,7 @@ def _sweeps(args: argparse.Namespace) -> Listed:
     return Listed(["id", "status", "jobs", "swept", "took"], rows, list(map(_document, found)))
 
 
-def _document(summary: RunSummary | SweepSummary) -> dict[str, Any]:
+def _document(summary: RunSummary | SweepSummary) -> dict[str, object]:
     """Return a run or sweep as a mapping for JSON; a value is null if a damaged file does not contain it."""
     return {**asdict(summary), "started": None if summary.started == _NEVER else utc_text(summary.started)}
 
@@ -273,7 +273,7 @@ def _percent(value: Any) -> str | None:
     return percent(value) if isinstance(value, (int, float)) else None
 
 
-def _survived(played: Mapping[str, Any]) -> str | None:
+def _survived(played: Mapping[str, object]) -> str | None:
     """Return the share of surviving episodes of a ``wheelleg play``: a fraction such as ``60/64``, or a percentage."""
     survival, episodes, unfinished = (played.get(key) for key in ("survival", "episodes", "unfinished"))
     if not isinstance(survival, (int, float)) or not isinstance(episodes, int) or not isinstance(unfinished, int):
@@ -282,7 +282,7 @@ def _survived(played: Mapping[str, Any]) -> str | None:
     return f"{round(survival * ended)}/{ended}"
 
 
-def _evaluated(evaluated: Mapping[str, Any]) -> str | None:
+def _evaluated(evaluated: Mapping[str, object]) -> str | None:
     """Return the name of an evaluation protocol and the survival rate in its first test, such as ``walk 100.0%``."""
     metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
     if not isinstance(metrics, Mapping) or not isinstance(protocol, str):

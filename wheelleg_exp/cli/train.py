@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
 from wheelleg_exp.cli.printing.terminal import hanging, shown, tool
@@ -94,7 +94,7 @@ def _digests(composed: Composed) -> dict[str, str]:
     return {"the composed config": digest_of(composed)}
 
 
-def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, Any] | None:
+def train_on(ready: Training, display: Display, stop: StopRequest) -> dict[str, object] | None:
     """Train a prepared run and return the results; after an interrupt, print a resume command and return None."""
     from wheelleg_exp.jobs.train.run_training import run
     from wheelleg_exp.run.run_directory import FAILURE
@@ -121,7 +121,7 @@ def resume_hint(directory: RunDirectory) -> str:
     return f"resume with: {tool('wheelleg')} resume {shown(directory.path)}"
 
 
-def print_trained(directory: RunDirectory, results: dict[str, Any] | None, *, as_json: bool) -> int:
+def print_trained(directory: RunDirectory, results: dict[str, object] | None, *, as_json: bool) -> int:
     """Print the results of a training that was not interrupted, and useful next commands; return the exit status."""
     if results is None:
         return EXIT_INTERRUPTED

@@ -7,6 +7,7 @@ import os
 import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -83,8 +84,7 @@ def _at_once(sweep: Sweep) -> int:
 def _joblib() -> ModuleType:
     """Import joblib, and unset the environment variables that joblib sets, because sweep jobs would inherit them."""
     before = set(os.environ)
-    import joblib
-
+    joblib = import_module("joblib")
     for name in set(os.environ) - before:
         del os.environ[name]
     return joblib

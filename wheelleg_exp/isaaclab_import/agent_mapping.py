@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, NAME, RULE, ImportReport, Section
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights
-from wheelleg_exp.jobs.export.isaaclab_run import PPO, RUNNER
+from wheelleg_exp.jobs.export.isaaclab_run import PPO, RUNNER, Tree
 
 _NOT_LEARNING = (
     *("seed", "device", "experiment_name", "run_name", "logger", "neptune_project", "wandb_project", "resume"),
@@ -19,14 +18,14 @@ _LIBRARIES = ("agent", "models", "trainer", "params", "seed")  # skrl, rl_games,
 
 
 def convert_agent(
-    tree: Mapping[str, Any] | None, groups: Sequence[str], weights: PolicyWeights | None, report: ImportReport
-) -> dict[str, Any]:
+    tree: Mapping[str, object] | None, groups: Sequence[str], weights: PolicyWeights | None, report: ImportReport
+) -> Tree:
     """Return the config section ``agent`` for a runner's settings, or for networks without settings.
 
     ``groups`` are the observation groups of the environment. Where settings and ``weights`` differ, the weights win.
     """
     part = Section(tree or {}, "agent.yaml", report)
-    agent: dict[str, Any] = {"algorithm": {}, "obs_groups": _obs_groups(part.take("obs_groups", {}), groups)}
+    agent: Tree = {"algorithm": {}, "obs_groups": _obs_groups(part.take("obs_groups", {}), groups)}
     agent |= part.take_if_known(RUNNER)
     agent["algorithm"] = _algorithm(part.section("algorithm"))
     policy = part.section("policy")
@@ -53,12 +52,12 @@ def convert_agent(
     return agent
 
 
-def is_runner(tree: Mapping[str, Any]) -> bool:
+def is_runner(tree: Mapping[str, object]) -> bool:
     """Return whether an ``agent.yaml`` has the settings of rsl_rl, not of another library."""
     return "num_steps_per_env" in tree or not any(name in tree for name in _LIBRARIES)
 
 
-def _obs_groups(given: Mapping[str, Any], groups: Sequence[str]) -> dict[str, list[str]]:
+def _obs_groups(given: Mapping[str, Sequence[str] | None], groups: Sequence[str]) -> dict[str, list[str]]:
     """Return the observation groups of the networks: those of the runner if the environment has them."""
     top = "policy" if "policy" in groups else groups[0]
     chosen = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
@@ -66,7 +65,7 @@ def _obs_groups(given: Mapping[str, Any], groups: Sequence[str]) -> dict[str, li
     return chosen | {role: list(names) for role, names in runner.items() if names and set(names) <= set(groups)}
 
 
-def _algorithm(part: Section) -> dict[str, Any]:
+def _algorithm(part: Section) -> Tree:
     _require_class(part, "PPO")
     settings = part.take_if_known(PPO)
     part.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
@@ -74,7 +73,7 @@ def _algorithm(part: Section) -> dict[str, Any]:
     return settings
 
 
-def _model(role: str, own: Section, policy: Section, activation: str, normalized: bool) -> dict[str, Any]:
+def _model(role: str, own: Section, policy: Section, activation: str, normalized: bool) -> Tree:
     """Return a network's settings, from its own section or from the section ``policy`` of older versions of rsl_rl."""
     hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
     _require_class(own, "MLPModel")
@@ -83,7 +82,7 @@ def _model(role: str, own: Section, policy: Section, activation: str, normalized
     return model | {"obs_normalization": bool(flag)}
 
 
-def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None) -> dict[str, Any]:
+def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None) -> Tree:
     """Return the settings of the distribution of the actions."""
     if policy.take("state_dependent_std") or actor.take("state_dependent_std"):
         key, expected = "agent.yaml: state_dependent_std", "a standard deviation that is the same in all states"
@@ -107,7 +106,7 @@ def _require_class(part: Section, known: str) -> None:
         raise ConfigError(f"'{name}' does not exist here", key=f"{part.key}.class_name", expected=known)
 
 
-def _adopt(agent: dict[str, Any], weights: PolicyWeights, report: ImportReport) -> None:
+def _adopt(agent: Tree, weights: PolicyWeights, report: ImportReport) -> None:
     """Replace the settings of the networks by those of the policy file, and report the differences."""
     for role, network in (("actor", weights.actor), ("critic", weights.critic)):
         model = agent[role]

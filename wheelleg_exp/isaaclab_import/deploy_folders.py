@@ -15,9 +15,9 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.run_folder import RunFolder, read_mapping
+from wheelleg_exp.jobs.export.isaaclab_run import Tree
 from wheelleg_exp.project.survey import survey
 
-Tree = dict[str, Any]
 _MDP = "isaaclab.envs.mdp"
 _STEP = 0.005  # s; physics step of Isaac Lab's locomotion tasks
 _SETTLING = 0.01  # m; the robot starts above the ground by this height
@@ -85,7 +85,7 @@ def _by_joint(joints: Sequence[str], values: Sequence[Any]) -> Tree:
     return dict(zip(joints, values, strict=True))
 
 
-def _command(ranges: Mapping[str, Any]) -> Tree:
+def _command(ranges: Mapping[str, object]) -> Tree:
     limits = {axis: ranges.get(axis) or [0.0, 0.0] for axis in _FASTEST}
     node = {"class_type": f"{_MDP}.commands.velocity_command:UniformVelocityCommand", "ranges": limits}
     return {"base_velocity": {**node, "resampling_time_range": [10.0, 10.0], "heading_command": False}}
@@ -96,7 +96,7 @@ def _action(kind: str, joints: Sequence[str], **settings: Any) -> Tree:
     return node | settings
 
 
-def _observation(function: str, params: Mapping[str, Any] | None, **settings: Any) -> Tree:
+def _observation(function: str, params: Mapping[str, object] | None, **settings: Any) -> Tree:
     return {"func": f"{_MDP}.observations:{function}", "params": params or {}, **settings}
 
 

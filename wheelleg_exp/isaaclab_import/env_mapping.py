@@ -24,10 +24,9 @@ from wheelleg_exp.isaaclab_import.import_report import (
     shown,
 )
 from wheelleg_exp.isaaclab_import.term_mapping import TermMapping, UserTarget, entity, last_name, parameters_of
-from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, PATTERNS, PIT_NAMES, TILES
+from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, PATTERNS, PIT_NAMES, TILES, Tree
 from wheelleg_exp.sim.names import compiled, values_by_name
 
-Tree = Mapping[str, Any]
 _DRAWN = "nothing is drawn during training"
 _STAGE = "there is no Omniverse stage"
 _ENGINE = "a setting of another physics engine or of its memory"
@@ -110,8 +109,8 @@ class EnvMapping:
         self._dofs, self._user_target, self._report = dofs, user_target, report
         self._robot_name = "robot"
         self._xyzw = is_version_3(tree)  # Isaac Lab 3.0 has quaternions (x, y, z, w).
-        self.robot: dict[str, Any] = {}
-        self.env: dict[str, Any] = {}
+        self.robot: Tree = {}
+        self.env: Tree = {}
         self.seed: int | None = None
         self.lost: list[str] = []
         self.networks: list[str] = []
@@ -213,7 +212,7 @@ class EnvMapping:
     def _robot_material(self, static: float, dynamic: float) -> None:
         """Give all bodies the run's default material; a later event of the run can draw other frictions."""
         target = "wheelleg_exp.mdp.events.randomize_rigid_body_material"
-        node: dict[str, Any] = {"_target_": target, "mode": "startup"}
+        node: Tree = {"_target_": target, "mode": "startup"}
         node |= {"static_friction_range": [static, static], "dynamic_friction_range": [dynamic, dynamic]}
         node |= {"restitution_range": [0.0, 0.0], "num_buckets": 1, "asset_cfg": entity("robot", body_names=[".*"])}
         self.env["events"] = {"default_material": node}
@@ -258,9 +257,9 @@ class EnvMapping:
             self._report.add("scene.robot.actuators", ASSUMED, text)
         part.finish(skip=_ROBOT_UNUSED)
 
-    def _actuator(self, part: Section, gains: Tree) -> dict[str, Any]:
+    def _actuator(self, part: Section, gains: Tree) -> Tree:
         kind = self._actuator_kind(part)
-        node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.actuators.{kind}"}
+        node: Tree = {"_target_": f"wheelleg_exp.sim.actuators.{kind}"}
         node["joint_names_expr"] = part.take("joint_names_expr", [".*"])
         accepted, expressions = parameters_of(node["_target_"], part.key), _listed(node["joint_names_expr"])
         self._require_joints(expressions)
@@ -335,7 +334,7 @@ class EnvMapping:
             return [value[3], *value[:3]]
         return list(value)
 
-    def _terrain(self, part: Section, modes: list[str]) -> dict[str, Any]:
+    def _terrain(self, part: Section, modes: list[str]) -> Tree:
         kind = part.take("terrain_type", "plane")
         node = _plane(*self._frictions(part.section("physics_material"), modes))
         generator, level = part.section("terrain_generator"), part.take("max_init_terrain_level")
@@ -350,9 +349,13 @@ class EnvMapping:
         part.finish(skip=_TERRAIN_UNUSED)
         return node
 
-    def _generator(self, part: Section) -> dict[str, Any]:
+    def _generator(self, part: Section) -> Tree:
         tiles = part.section("sub_terrains")
-        node: dict[str, Any] = {"_target_": "wheelleg_exp.sim.terrain.TerrainGenerator", "num_rows": 1, "num_cols": 1}
+        node: Tree = {
+            "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
+            "num_rows": 1,
+            "num_cols": 1,
+        }
         node |= {"border_width": 0.0, "difficulty_range": [0.0, 1.0], "curriculum": False}
         node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
@@ -365,13 +368,13 @@ class EnvMapping:
         part.finish(skip=_GENERATOR_UNUSED)
         return node
 
-    def _tile(self, part: Section) -> dict[str, Any] | None:
+    def _tile(self, part: Section) -> Tree | None:
         function = last_name(part.take("function"))
         if function not in TILES:
             self._report.add(part.key, DROPPED, f"'{function}' does not exist here; the shares of the other tiles grow")
             return None
         kind = TILES[function]
-        node: dict[str, Any] = {"_target_": f"wheelleg_exp.sim.terrain.{kind}"}
+        node: Tree = {"_target_": f"wheelleg_exp.sim.terrain.{kind}"}
         node |= {"inverted": True} if function in INVERTED else {}
         renamed = PIT_NAMES | {"flat_patch_sampling": "flat_patches"}
         node |= {renamed[name]: value for name, value in part.take_if_known(renamed).items()}
@@ -386,7 +389,7 @@ class EnvMapping:
         part.finish(skip=("size", "vertical_scale", "convert_to_heightfield"))
         return node
 
-    def _contact_sensor(self, part: Section) -> dict[str, Any]:
+    def _contact_sensor(self, part: Section) -> Tree:
         node = {
             "_target_": "wheelleg_exp.sim.sensors.ContactSensor",
             "body_names": self._bodies(part.take("prim_path")),
@@ -406,7 +409,7 @@ class EnvMapping:
         part.finish(skip=_SENSOR_UNUSED)
         return node
 
-    def _ray_caster(self, part: Section) -> dict[str, Any]:
+    def _ray_caster(self, part: Section) -> Tree:
         node = self._mounted(part, "RayCaster")
         yaw = part.take("attach_yaw_only")
         node["ray_alignment"] = part.take("ray_alignment", "yaw" if yaw else "base")
@@ -422,12 +425,12 @@ class EnvMapping:
         part.finish(skip=("history_length", *_SENSOR_UNUSED))
         return node
 
-    def _imu(self, part: Section) -> dict[str, Any]:
+    def _imu(self, part: Section) -> Tree:
         node = self._mounted(part, "Imu") | part.take_if_known(("gravity_bias", "update_period"))
         part.finish(skip=("history_length", *_SENSOR_UNUSED))
         return node
 
-    def _mounted(self, part: Section, kind: str) -> dict[str, Any]:
+    def _mounted(self, part: Section, kind: str) -> Tree:
         """Return the node of a sensor on a body, with the sensor's pose in the frame of the body."""
         self._report.add(part.key, NAME, kind)
         offset, body = part.section("offset"), self._bodies(part.take("prim_path"))[0]
@@ -447,7 +450,7 @@ def is_version_3(tree: Tree) -> bool:
     return "physx" not in (tree.get("sim") or {"physx": None})
 
 
-def _spawn(node: Any) -> Mapping[str, Any]:
+def _spawn(node: Any) -> Mapping[str, object]:
     return node.get("spawn") or {} if isinstance(node, Mapping) else {}
 
 
@@ -482,7 +485,7 @@ class _Names:
         if not self._table:
             return value
         if isinstance(value, Mapping):
-            found: dict[str, Any] = {}
+            found: Tree = {}
             for key, item in value.items():
                 found |= dict.fromkeys(self.of(str(key), kind), self.applied(item, _kind_of_names(key, kind)))
             return found
@@ -558,6 +561,6 @@ def _listed(expressions: Any) -> list[str]:
     return [expressions] if isinstance(expressions, str) else list(expressions)
 
 
-def _plane(static: float, dynamic: float) -> dict[str, Any]:
+def _plane(static: float, dynamic: float) -> Tree:
     frictions = {"static_friction": static, "dynamic_friction": dynamic, "restitution": 0.0}
     return {"_target_": "wheelleg_exp.sim.terrain.Plane", **frictions}

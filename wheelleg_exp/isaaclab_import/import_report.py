@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export.isaaclab_run import Tree
 
 NAME, RULE, ASSUMED, DROPPED, CODE = "by name", "by rule", "assumed", "dropped", "needs code"
 NOT_NEEDED = "not needed"
@@ -72,7 +73,7 @@ class Section:
     def __init__(self, tree: Any, key: str, report: ImportReport) -> None:
         if tree is not None and not isinstance(tree, Mapping):
             raise ConfigError(f"{shown(tree)} is not a mapping", key=key, expected="the mapping that Isaac Lab writes")
-        self.left: dict[str, Any] = dict(tree or {})
+        self.left: Tree = dict(tree or {})
         self.key, self._report = key, report
 
     def take(self, name: str, default: Any = None) -> Any:
@@ -97,7 +98,7 @@ class Section:
         for name, value in self.items():
             yield name, Section(value, self._key_of(name), self._report)
 
-    def take_if_known(self, names: Iterable[str]) -> dict[str, Any]:
+    def take_if_known(self, names: Iterable[str]) -> Tree:
         """Return and remove the keys in ``names`` that are present and not null."""
         return {name: value for name in names if (value := self.take(name)) is not None}
 

@@ -26,6 +26,7 @@ from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping, is_version_3
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.policy_weights import PolicyWeights, read_policy
 from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_folder, read_names
+from wheelleg_exp.jobs.export.isaaclab_run import Tree
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.project.create import project_files, require_place, require_robot_file, write
@@ -121,7 +122,7 @@ def _convert(
     author: AuthorTerms,
     report: ImportReport,
     names: Mapping[str, str],
-) -> tuple[EnvMapping, dict[str, Any]]:
+) -> tuple[EnvMapping, Tree]:
     """Return the converted robot and environment, and the config section ``agent``."""
     bodies = read(robot, "auto", {})[0].bodies
     dofs = {dof.name: dof for body in bodies for dof in body.dofs}
@@ -145,7 +146,7 @@ def _convert(
     return mapping, agent if clip is None else agent | {"clip_actions": clip}
 
 
-def _require_observed(lost: Sequence[str], agent: Mapping[str, Any], report: ImportReport) -> None:
+def _require_observed(lost: Sequence[str], agent: Tree, report: ImportReport) -> None:
     """Raise ConfigError if the policy observes a group that lacks a term."""
     group = next((group for group in agent["obs_groups"]["actor"] if group in lost), None)
     if group is not None:
@@ -155,14 +156,12 @@ def _require_observed(lost: Sequence[str], agent: Mapping[str, Any], report: Imp
         raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
 
 
-def _write_project(
-    draft: Path, robot: str, mapping: EnvMapping, agent: dict[str, Any], author: AuthorTerms
-) -> dict[str, Any]:
+def _write_project(draft: Path, robot: str, mapping: EnvMapping, agent: Tree, author: AuthorTerms) -> Tree:
     """Write the files of the project, and return its task. ``robot`` is the name of the robot file."""
     name = draft.name
     finite = {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
     mapping.env["terminations"].setdefault("non_finite_state", finite)
-    task: dict[str, Any] = {"defaults": [{"/robot": name}, {"/sim": "parity"}, "_self_"]}
+    task: Tree = {"defaults": [{"/robot": name}, {"/sim": "parity"}, "_self_"]}
     task |= {"task": {"name": name}, "env": mapping.env, "agent": {k: v for k, v in agent.items() if v != {}}}
     if mapping.seed is not None:
         task["seed"] = mapping.seed
@@ -176,11 +175,11 @@ def _write_project(
     return task
 
 
-def _write_task(project: Path, task: dict[str, Any]) -> None:
+def _write_task(project: Path, task: Tree) -> None:
     write(project, {f"configs/task/{project.name}.yaml": _TASK + dump_yaml(task)})
 
 
-def _remove_failing_terms(draft: Path, task: dict[str, Any], report: ImportReport) -> None:
+def _remove_failing_terms(draft: Path, task: Tree, report: ImportReport) -> None:
     """Check the task without those of the author's terms that fail; raise all other mistakes."""
     try:
         while mistakes := find_mistakes([f"task={draft.name}"], config_dirs=[draft / projects.CONFIGS])[1]:
@@ -234,7 +233,7 @@ def _write_run(
     return training.directory.path, what
 
 
-def _try_env(path: Path, task: dict[str, Any], weights: PolicyWeights | None, report: ImportReport) -> None:
+def _try_env(path: Path, task: Tree, weights: PolicyWeights | None, report: ImportReport) -> None:
     """Make a control step of the task without those of the author's terms that fail, and compare the policy's width."""
     words = [f"task={path.name}", "env.num_envs=2"]
     while True:
@@ -271,7 +270,7 @@ def _copy_network(name: str, folders: Sequence[Path], to: Path) -> None:
     write_bytes(to / name, read_bytes(found))
 
 
-def _without_failing_term(path: Path, task: dict[str, Any], error: WheellegError, report: ImportReport) -> bool:
+def _without_failing_term(path: Path, task: Tree, error: WheellegError, report: ImportReport) -> bool:
     """Remove the author's term that an error names from the task, unless the policy needs the term."""
     parts = (error.key or "").split(".")
     section = task["env"].get(parts[1]) if len(parts) > 2 and parts[1] in _OPTIONAL else None

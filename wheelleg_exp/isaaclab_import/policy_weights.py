@@ -81,7 +81,7 @@ class PolicyWeights:
     critic: Network | None = None
     std: torch.Tensor | None = None
     activation: str | None = None
-    optimizer: Mapping[str, Any] | None = None
+    optimizer: Mapping[str, object] | None = None
     iteration: int = 0
     log_std: bool = False  # whether the file has the logarithm of ``std``
 
@@ -196,7 +196,7 @@ def _from_torchscript(path: Path, archive: zipfile.ZipFile, root: str) -> Policy
     return found
 
 
-def _one_activation(found: list[tuple[str, Mapping[str, Any]]], path: Path) -> str | None:
+def _one_activation(found: list[tuple[str, Mapping[str, object]]], path: Path) -> str | None:
     """Return rsl_rl's name of the activation between all layers; refuse anything else than one usual activation."""
     kinds = {kind for kind, _ in found}
     for kind, settings in found:
@@ -209,7 +209,7 @@ def _one_activation(found: list[tuple[str, Mapping[str, Any]]], path: Path) -> s
     return _ACTIVATIONS[found[0][0]] if found else None
 
 
-def _network(state: Mapping[str, Any], prefix: str, normalizer: str, path: Path) -> Network:
+def _network(state: Mapping[str, object], prefix: str, normalizer: str, path: Path) -> Network:
     if any("rnn." in name or name.startswith("memory") for name in state):
         raise RunDirectoryError("the policy is recurrent", key=str(path), expected="a multilayer perceptron")
     more = [part for name in state if (part := name.split(".")[0]) not in _PARTS and "normalizer" not in part]
@@ -246,7 +246,7 @@ def _from_onnx(path: Path) -> PolicyWeights:
         if node.op_type == "Constant":
             values[node.output[0]] = torch.tensor(numpy_helper.to_array(node.attribute[0].t))
     layers, network = list[tuple[torch.Tensor, torch.Tensor]](), Network([])
-    activations = list[tuple[str, Mapping[str, Any]]]()
+    activations = list[tuple[str, Mapping[str, object]]]()
     current, pending = None, None
     for node in graph.node:
         known = [values[name].float() for name in node.input if name in values]

@@ -6,10 +6,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import LARGEST_YAML, read_bytes
+from wheelleg_exp.jobs.export.isaaclab_run import Tree
 from wheelleg_exp.plain_data import Unreadable, tagged_yaml_value
 from wheelleg_exp.run.run_config import require_resolved
 
@@ -30,9 +30,9 @@ class RunFolder:
 
     path: Path
     kind: str
-    config: dict[str, Any]
+    config: Tree
     config_file: Path
-    agent: dict[str, Any] | None
+    agent: Tree | None
     policy: Path | None
     joint_order: list[str] | None
 
@@ -67,20 +67,20 @@ def read_names(path: Path) -> dict[str, str]:
     """Return the content of a file that maps names to names."""
     expected = "lines such as 'FL_hip: front_left_hip'"
     names = read_mapping(path, expected)
-    for old, new in names.items():
-        if not isinstance(old, str) or not isinstance(new, str):
-            raise RunDirectoryError(f"{old!r}: {new!r} is not a pair of names", key=str(path), expected=expected)
-    return names
+    found = {old: new for old, new in names.items() if isinstance(old, str) and isinstance(new, str)}
+    if wrong := [f"{old!r}: {new!r}" for old, new in names.items() if old not in found]:
+        raise RunDirectoryError(f"{wrong[0]} is not a pair of names", key=str(path), expected=expected)
+    return found
 
 
-def _joint_order(descriptors: Mapping[str, Any]) -> list[str] | None:
+def _joint_order(descriptors: Mapping[str, object]) -> list[str] | None:
     robots = descriptors.get("articulations")
     robot = next(iter(robots.values()), None) if isinstance(robots, Mapping) else None
     names = robot.get("joint_names") if isinstance(robot, Mapping) else None
     return names if isinstance(names, list) else None
 
 
-def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
+def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
     """Return a folder's policy: the newest checkpoint, an exported policy, or the one that rl_sar names."""
     files = filter(Path.is_file, root.iterdir())
     numbered = {int(found[1]): file for file in files if (found := _CHECKPOINT.fullmatch(file.name))}
@@ -92,7 +92,7 @@ def _policy(root: Path, config: Mapping[str, Any]) -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
-def read_mapping(path: Path, expected: str = _EXPECTED) -> dict[str, Any]:
+def read_mapping(path: Path, expected: str = _EXPECTED) -> Tree:
     """Return the content of a YAML file that must be a mapping."""
     data = read_bytes(path, LARGEST_YAML)
     if data.startswith(LFS):

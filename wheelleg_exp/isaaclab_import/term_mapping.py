@@ -10,7 +10,7 @@ from typing import Any
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
-from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES
+from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES, Tree
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
 _STOCK = re.compile(
@@ -32,11 +32,11 @@ class TermMapping:
     ``lost`` contains the names of observation groups that lack a term.
     """
 
-    def __init__(self, env: Mapping[str, Any], robot_name: str, user_target: UserTarget, report: ImportReport) -> None:
+    def __init__(self, env: Tree, robot_name: str, user_target: UserTarget, report: ImportReport) -> None:
         self._env, self._robot_name, self._user_target, self._report = env, robot_name, user_target, report
         self.lost: list[str] = []
 
-    def section(self, kind: str, part: Section) -> dict[str, Any]:
+    def section(self, kind: str, part: Section) -> Tree:
         """Return the config of all terms of one kind, or of all observation groups."""
         if kind == "observations":
             return {name: self._group(group, name) for name, group in self._nodes(part)}
@@ -52,8 +52,8 @@ class TermMapping:
             else:
                 self._report.add(key, DROPPED, f"{shown(node)}: not a term")
 
-    def _group(self, part: Section, name: str) -> dict[str, Any]:
-        group: dict[str, Any] = {"terms": {}, "concatenate_terms": True, "enable_corruption": False}
+    def _group(self, part: Section, name: str) -> Tree:
+        group: Tree = {"terms": {}, "concatenate_terms": True, "enable_corruption": False}
         group |= {"history_length": 0, "flatten_history_dim": True}
         no_history = part.left.get("history_length") == 0  # null leaves each term its own history
         group |= part.take_if_known((*[key for key in group if key != "terms"], "concatenate_dim", "history_order"))
@@ -71,7 +71,7 @@ class TermMapping:
             _remove(group, "history_length", "flatten_history_dim")
         return group
 
-    def _term(self, kind: str, part: Section) -> dict[str, Any] | None:
+    def _term(self, kind: str, part: Section) -> Tree | None:
         """Return the config of a term; None if its function does not exist here."""
         func, class_type, params = part.take("func"), part.take("class_type"), part.left.get("params")
         source = str(func or class_type or "")
@@ -81,7 +81,7 @@ class TermMapping:
             text = f"{source} {shown(part.left, 160)}" if reason is None else f"{source}: {reason}"
             self._report.add(part.key, CODE if reason is None else DROPPED, text)
             return None
-        node: dict[str, Any] = {"_target_": target}
+        node: Tree = {"_target_": target}
         node |= {key: self._value(key, value) for key, value in part.take_if_known(RESERVED[kind]).items()}
         if kind == "observations":
             node |= self._delay(part)
@@ -107,7 +107,7 @@ class TermMapping:
             self._report.add(part.key, RULE, f"{source} became {target}")
         return node
 
-    def _delay(self, part: Section) -> dict[str, Any]:
+    def _delay(self, part: Section) -> Tree:
         """Return the delay of an observation, which Isaac Lab 3.0 counts in control steps."""
         lags = [part.take("delay_min_lag", 0), part.take("delay_max_lag", 0)]
         hold = part.take("delay_hold_prob", 1.0)
@@ -131,9 +131,9 @@ class TermMapping:
             text = f"{period}: a new draw in each control step"
             self._report.add(f"{part.key}.resampling_time_range", RULE, text)
 
-    def _parameters(self, part: Section, target: str) -> dict[str, Any]:
+    def _parameters(self, part: Section, target: str) -> Tree:
         """Return those parameters of a term that exist here. The author's functions have all parameters."""
-        found: dict[str, Any] = {}
+        found: Tree = {}
         accepted = parameters_of(target, part.key) if target.startswith(_OWN) else list(part.left)
         for key, value in part.items():
             if key == "asset_name" and value == self._robot_name:
@@ -166,10 +166,10 @@ class TermMapping:
         settings = {name: self._value(name, item) for name, item in value.items() if name not in ("func", "class_type")}
         return {"_target_": f"wheelleg_exp.mdp.noise.{kind}", **settings}
 
-    def _entity(self, key: str, value: Mapping[str, Any]) -> dict[str, Any]:
+    def _entity(self, key: str, value: Mapping[str, Any]) -> Tree:
         """Return the node of joints or bodies of an entity, which the run chooses by names or by numbers."""
         ordered = value.get("preserve_order")
-        chosen: dict[str, Any] = {}
+        chosen: Tree = {}
         for part in ("joint", "body"):
             names, ids = value[f"{part}_names"], value.get(f"{part}_ids")
             if names is not None:
@@ -189,7 +189,7 @@ def _module(kind: str) -> ModuleType:
     return import_module(f"wheelleg_exp.mdp.{kind.removesuffix('s')}s")
 
 
-def _modifier(node: Mapping[str, Any]) -> dict[str, Any]:
+def _modifier(node: Mapping[str, Any]) -> Tree:
     kind = last_name(node.get("func"))
     settings = {name: setting for name, setting in node.items() if name not in ("func", "params")}
     settings |= node.get("params") or {}
@@ -201,7 +201,7 @@ def _one_expression(names: Any) -> Any:
     return ["|".join(names)] if isinstance(names, list) and len(names) > 1 else names
 
 
-def _remove(node: dict[str, Any], *keys: str) -> None:
+def _remove(node: Tree, *keys: str) -> None:
     for key in keys:
         node.pop(key, None)
 
@@ -211,11 +211,11 @@ def last_name(path: Any) -> str:
     return re.split(r"[.:]", str(path or ""))[-1]
 
 
-def parameters_of(target: str, key: str) -> Mapping[str, Any]:
+def parameters_of(target: str, key: str) -> Mapping[str, object]:
     """Return the parameters of a function or class of this package by name; errors name ``key``."""
     return signature_parameters(resolve_target(target, key))
 
 
-def entity(name: str, **chosen: Any) -> dict[str, Any]:
+def entity(name: str, **chosen: Any) -> Tree:
     """Return the node of chosen joints or bodies of the entity ``name``."""
     return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": name, **chosen}

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 from wheelleg_exp.child_process import Event
@@ -118,7 +119,7 @@ class SweepRunner:
             self._index.job_started(job["number"])
             self._display.started(job)
         elif kind == "run":
-            self._index.job_has_run(job["number"], event["path"])
+            self._index.job_has_run(job["number"], Path(event["path"]))
         elif kind == "iteration":
             self._display.iteration(job, event["done"], event["total"], event["scalars"])
         elif kind == "note":

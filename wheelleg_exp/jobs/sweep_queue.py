@@ -85,7 +85,7 @@ class QueueWorker:
         for _, event in listen([child], wait_s):
             self._write(place, event)
 
-    def _write(self, place: Path, event: Mapping[str, Any]) -> None:
+    def _write(self, place: Path, event: Mapping[str, object]) -> None:
         with (place / EVENTS).open("a", encoding="utf-8") as file:
             file.write(json.dumps(event) + "\n")
 
@@ -245,7 +245,7 @@ class SubmititLauncher(Queue):
     ``cluster`` is ``slurm`` or ``local``, and ``settings`` is the config section ``hydra.launcher``.
     """
 
-    def __init__(self, cluster: str, settings: Mapping[str, Any], folder: Path) -> None:
+    def __init__(self, cluster: str, settings: Mapping[str, object], folder: Path) -> None:
         import submitit
 
         super().__init__(folder)
@@ -351,7 +351,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def make_launcher(name: str, settings: Mapping[str, Any], folder: Path) -> LocalLauncher | Queue:
+def make_launcher(name: str, settings: Mapping[str, object], folder: Path) -> LocalLauncher | Queue:
     """Return the launcher for a config name of Hydra's group ``hydra/launcher``, such as ``submitit_slurm``."""
     if name.startswith("submitit"):
         return SubmititLauncher(name.removeprefix("submitit_"), settings, folder)

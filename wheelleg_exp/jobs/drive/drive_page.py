@@ -14,7 +14,7 @@ import math
 import re
 import socket
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, redirect_stdout
 from html import escape
 from importlib.resources import files
@@ -251,13 +251,10 @@ class DrivePage:
             message = f"viser and mjviser draw the page, and {error.name} is missing"
             raise WheellegError(message, key="--drive", expected='pip install "wheelleg_exp[drive]"') from error
 
-        class LocalServer(viser.ViserServer):
-            def request_share_url(self, verbose: bool = True) -> str | None:
-                """Return None: the page is never shared with another machine."""
-                del verbose
-                return None
-
-        self._server_class, self._scene_class = LocalServer, ViserMujocoScene
+        # The page is never shared with another machine.
+        methods = {"request_share_url": lambda _self, verbose=True: None}  # noqa: ARG005
+        self._server_class: Any = type("LocalServer", (viser.ViserServer,), methods)
+        self._scene_class = ViserMujocoScene
         self._port = port
         self._scenes, self._policies = list(scenes), list(policies)
         self._policy = self._policies[0] if self._policies else None
@@ -387,9 +384,11 @@ class DrivePage:
         odd = np.kron(np.eye(2), np.ones((128, 128)))[..., None]
         tiles = ((1.0 - odd) * _TILES[0] + odd * _TILES[1]).astype(np.uint8)
         tiles[::128] = tiles[:, ::128] = _LINES
-        painted = material.PBRMaterial(baseColorTexture=Image.fromarray(tiles), roughnessFactor=1.0, metallicFactor=0.0)
+        paint: Any = material.PBRMaterial
+        painted = paint(baseColorTexture=Image.fromarray(tiles), roughnessFactor=1.0, metallicFactor=0.0)
         corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * count
-        visual = TextureVisuals(uv=corners[:, :2], material=painted)
+        texture: Any = TextureVisuals
+        visual = texture(uv=corners[:, :2], material=painted)
         square = Trimesh(corners * self._pattern, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
         self._grounds = {}
         for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE):
@@ -420,35 +419,32 @@ class DrivePage:
         axis, add = self._controls.axes[name], self._server.gui.add_slider
         slider = add(name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest)
 
-        @slider.on_update
-        def _(event: Any) -> None:
+        def moved(event: Any) -> None:
             if event.client is not None:  # ``event.client`` is None if this program, not the user, moved the slider.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
 
+        slider.on_update(moved)
         return slider
 
     def _choices(self, choice: Choose) -> None:
         gui, controls, names = self._server.gui, self._controls, list(self._checkpoints)
         if choice.checkpoint is not None and choice.checkpoint.stem not in names:
             names.append(choice.checkpoint.stem)
+
+        def request(dropdown: Any, choose: Callable[[str], Choose | None]) -> None:
+            def changed(_: object) -> None:
+                if chosen := choose(dropdown.value):
+                    controls.request(chosen)
+
+            dropdown.on_update(changed)
+
         now = names[0] if choice.checkpoint is None else choice.checkpoint.stem
         checkpoint = gui.add_dropdown("Checkpoint", names, initial_value=now)
         scene = gui.add_dropdown("Ground", self._scenes, initial_value=choice.scene or self._scenes[0])
         if self._policies:
             policy = gui.add_dropdown("Policy", self._policies, initial_value=self._policy)
-
-            @policy.on_update
-            def _(_: Any) -> None:
-                if policy.value in self._policies:
-                    controls.request(Choose(policy=policy.value))
-
-        @checkpoint.on_update
-        def _(_: Any) -> None:
-            if checkpoint.value in self._checkpoints:
-                controls.request(Choose(checkpoint=self._checkpoints[checkpoint.value]))
-
-        @scene.on_update
-        def _(_: Any) -> None:
-            if scene.value in self._scenes:
-                controls.request(Choose(scene=scene.value))
+            request(policy, lambda name: Choose(policy=name) if name in self._policies else None)
+        paths = self._checkpoints
+        request(checkpoint, lambda name: Choose(checkpoint=paths[name]) if name in paths else None)
+        request(scene, lambda name: Choose(scene=name) if name in self._scenes else None)

@@ -182,12 +182,12 @@ class DriveLog:
 
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt
-        self._entries: list[tuple[int, dict[str, Any]]] = []
+        self._entries: list[tuple[int, dict[str, object]]] = []
         self._values: dict[str, float] = {}
 
     def commanded(self, step: int, values: Mapping[str, float]) -> None:
         """Record the commands that apply in a control step."""
-        changed = {name: value for name, value in values.items() if self._values.get(name) != value}
+        changed: dict[str, object] = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._entries.append((step, changed))
             self._values = dict(values)
@@ -197,7 +197,7 @@ class DriveLog:
         name = type(request).__name__.lower()
         self._entries.append((step, {name: [request.x, request.y] if isinstance(request, Push) else True}))
 
-    def script(self, steps: int) -> list[dict[str, Any]]:
+    def script(self, steps: int) -> list[dict[str, object]]:
         """Return the recorded commands, pushes, and resets of ``steps`` control steps as timed YAML entries."""
         entries = [{"at": self._time(step), **deed} for step, deed in self._entries] or [{"at": 0.0}]
         entries[-1]["for"] = round(self._time(steps) - self._time(self._entries[-1][0] if self._entries else 0), 6)

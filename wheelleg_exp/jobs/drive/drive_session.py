@@ -27,6 +27,7 @@ from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.sim.scene import RobotState
 
 # Each function in ``_MEASURES`` returns the measured value of a command component, such as the forward speed.
 _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
@@ -85,7 +86,7 @@ class DriveMeter:
         """Record a reset, so that the robot's jump to its start position does not count as travelled distance."""
         self._place = None
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, object]:
         """Return the metrics of the driven robot as values that JSON can store."""
         count = max(self._steps, 1)
         return {
@@ -137,7 +138,7 @@ class DriveSession:
     """
 
     def __init__(
-        self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor], start: Mapping[str, Any] | None = None
+        self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor], start: RobotState | None = None
     ) -> None:
         if adapter.num_envs != 1:
             raise ConfigError(f"a user can drive one robot, not {adapter.num_envs}", key="env.num_envs", expected="1")
@@ -165,7 +166,7 @@ class DriveSession:
     @property
     def time_s(self) -> float:
         """The simulated time since the user started to drive the robot, s."""
-        return self.steps * self.env.step_dt
+        return self.steps * float(self.env.step_dt)
 
     def step(self) -> None:
         """Simulate one control step with the user's current commands."""

@@ -255,7 +255,7 @@ class _Driver:
         self,
         session: DriveSession,
         script: Script | None,
-        options: dict[str, Any],
+        options: Mapping[str, Any],
         display: Display,
         view: DrivePage | None,
         stop: StopRequest,

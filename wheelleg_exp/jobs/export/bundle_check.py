@@ -46,7 +46,7 @@ def recorded_episodes(
     velocities, efforts of all joints.
     """
     env, begins = adapter.env, True
-    rows: dict[str, list[np.ndarray]] = {}
+    rows: dict[str, list[np.ndarray | np.bool_]] = {}
     for _ in range(steps):
         seen = adapter.get_observations()
         actions, rounded = policy(seen), trained(seen)
@@ -58,7 +58,7 @@ def recorded_episodes(
         row |= {"actions_float32": rounded, "targets": _targets(adapter, actions)}
         for name, value in row.items():
             rows.setdefault(name, []).append(value[0].numpy().astype(np.float32))
-        rows.setdefault("reset", []).append(np.bool_(begins))  # type: ignore[arg-type]
+        rows.setdefault("reset", []).append(np.bool_(begins))
         _, _, dones, _ = adapter.step(actions)
         begins = bool(dones[0])
         if begins:
@@ -120,10 +120,11 @@ def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple
     policy file's outputs differ from ``check.npz`` by more than the tolerance, raise SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
-    recorded = dict(np.load(folder / "check.npz"))
+    recorded = dict(np.load(folder / "check.npz").items())
     seen = recorded["observations"]
     by_onnx = ReferenceEvaluator(onnx).run(None, {"obs": seen})[0]
-    by_torch = torch.jit.load(io.BytesIO(torchscript))(torch.from_numpy(seen)).detach().numpy()
+    load: Callable[[io.BytesIO], torch.nn.Module] = torch.jit.load
+    by_torch = load(io.BytesIO(torchscript))(torch.from_numpy(seen)).detach().numpy()
     for name, actions in (("onnx", by_onnx), ("torchscript", by_torch)):
         found[name] = runner.largest_difference(clipped(actions), recorded["actions"])
     differences, notes = _compare_header(header, recorded)

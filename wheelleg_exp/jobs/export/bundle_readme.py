@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+
+from wheelleg_exp.jobs.export.policy_json import ActionTerm, Check, Limits, ObservationGroup, PolicyJson
 
 _FILES = {
     "policy.json": "everything between sensor readings and joint targets, as numbers",
@@ -39,10 +40,10 @@ log.write(time, {...}, targets)       # targets["gain"]: multiply the drives' st
 changes nothing, and the caller must decide what the drives do."""
 
 
-def _safety(spec: Mapping[str, Any]) -> list[str]:
+def _safety(spec: PolicyJson) -> list[str]:
     """Return the sections about start-up, bad readings, falls, and the control rate."""
     rules, codes = spec["safety"], spec["safety"]["status"]
-    start, stop, recover, fall = (rules[key] for key in ("start", "stop", "recover", "fall"))
+    start, stop, recover, fall = rules["start"], rules["stop"], rules["recover"], rules["fall"]
     hold, missed, hz = rules["hold_steps"], rules["missed_steps"], rules["rate_hz"]
     fallen = "no reading shows the tilt, so falls are not detected"
     if fall is not None:
@@ -59,7 +60,7 @@ def _safety(spec: Mapping[str, Any]) -> list[str]:
         "not_finite": "returned only by `policy_step` in C",
     }
     bounds = [
-        (f"`{name}`", _bounds(rule, "low"), _bounds(rule, "high"), _bounds(rule, "max_jump"), rule["check"])
+        (f"`{name}`", _bounds(rule["low"]), _bounds(rule["high"]), _bounds(rule["max_jump"]), rule["check"])
         for name, rule in rules["readings"].items()
     ]
     steps = (
@@ -97,13 +98,16 @@ def _safety(spec: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _bounds(rule: Mapping[str, Any], key: str) -> str:
-    return " ".join(dict.fromkeys(map(_number, rule[key])))
+def _bounds(limits: Limits) -> str:
+    return " ".join(dict.fromkeys(map(_number, limits)))
 
 
-def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) -> str:
+def readme(spec: PolicyJson, files: Sequence[str], notes: Sequence[str]) -> str:
     """Return the README text of a bundle; ``spec`` is the content of ``policy.json``."""
     about, joints = spec["run"], spec["joint_names"]
+    drives: list[Sequence[float | None]] = [spec["default_joint_pos"], spec["stiffness"], spec["damping"]]
+    drives += [spec["effort_limit"], spec["velocity_limit"]]
+    mechanics = [spec["armature"], spec["inertia"], spec["friction"], spec["viscous_friction"], spec["drive_rate"]]
     parts = [
         f"# The policy `{about['task']}` of run `{about['id']}`, iteration {about['iteration']}",
         "Sensor readings in, joint targets out, every "
@@ -126,7 +130,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         "## Joints, in order",
         _table(
             ("#", "joint", "default, rad", "stiffness, N·m/rad", "damping, N·m·s/rad", "effort, N·m", "speed, rad/s"),
-            [(i, f"`{joints[i]}`", *(_number(spec[key][i]) for key in _PER_JOINT)) for i in range(len(joints))],
+            [(i, f"`{joints[i]}`", *(_number(values[i]) for values in drives)) for i in range(len(joints))],
         ),
         "Position targets are clipped to the limits of the joints (`joint_pos_limits`), velocity targets to the speed. "
         "The positions of these joints count from `reset`, independent of their encoder values then: "
@@ -134,7 +138,7 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
         "## What the robot must have\n\nThe policy was trained with these joints. A robot that differs can fall.",
         _table(
             ("joint", *_UNITS),
-            [(f"`{joints[i]}`", *(_number(spec[key][i]) for key in _OF_ROBOT)) for i in range(len(joints))],
+            [(f"`{joints[i]}`", *(_number(values[i]) for values in mechanics)) for i in range(len(joints))],
         ),
         "Armature is the rotor's inertia times the gear ratio squared; it adds to the inertia of the parts. The drive "
         "must compute its torque from new encoder values at the drive rate or faster: in each physics step of the "
@@ -159,12 +163,10 @@ def readme(spec: Mapping[str, Any], files: Sequence[str], notes: Sequence[str]) 
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-_OF_ROBOT = ("armature", "inertia", "friction", "viscous_friction", "drive_rate")
 _UNITS = ("armature, kg·m²", "inertia of the parts, kg·m²", "friction, N·m", "damping, N·m·s/rad", "drive rate, Hz")
-_PER_JOINT = ("default_joint_pos", "stiffness", "damping", "effort_limit", "velocity_limit")
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in [head, ["---"] * len(head), *rows])
 
 
@@ -172,7 +174,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.6g}"
 
 
-def _checked(check: Mapping[str, Any]) -> str:
+def _checked(check: Check) -> str:
     rows = [(f"`{name}`", f"{value:.1g}") for name, value in check["largest_difference"].items()]
     return (
         f"Every policy here was compared with {check['steps']} recorded steps, each from the recorded readings, "
@@ -184,7 +186,7 @@ def _checked(check: Mapping[str, Any]) -> str:
     )
 
 
-def _commands(commands: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _commands(commands: Mapping[str, Mapping[str, list[float]]]) -> list[str]:
     lines = [
         f"`commands.{name}`: " + ", ".join(f"{axis} [{low:.4g}, {high:.4g}]" for axis, (low, high) in ranges.items())
         for name, ranges in commands.items()
@@ -202,7 +204,7 @@ def _accelerations(accelerations: Mapping[str, Sequence[float | None]]) -> list[
     ]
 
 
-def _observations(groups: Sequence[Mapping[str, Any]]) -> list[str]:
+def _observations(groups: Sequence[ObservationGroup]) -> list[str]:
     lines, start = [], 0
     for group in groups:
         rows = []
@@ -227,7 +229,7 @@ def _clipped(bound: float | None) -> str:
     return f"The network's output is clipped to ±{bound:g} first; as `last_action` the policy sees it clipped."
 
 
-def _actions(actions: Sequence[Mapping[str, Any]]) -> Iterable[tuple[Any, ...]]:
+def _actions(actions: Sequence[ActionTerm]) -> Iterable[tuple[object, ...]]:
     for term in actions:
         for index, joint in enumerate(term["joint_names"]):
             number = term["start"] + min(index, term["stop"] - term["start"] - 1)
@@ -236,7 +238,7 @@ def _actions(actions: Sequence[Mapping[str, Any]]) -> Iterable[tuple[Any, ...]]:
             yield number, f"`{joint}`", term["drives"], _law(term, index) + within
 
 
-def _law(term: Mapping[str, Any], index: int) -> str:
+def _law(term: ActionTerm, index: int) -> str:
     if term["function"] == "binary":
         return f"{_number(term['open'][index])} or {_number(term['close'][index])}, by a threshold"
     scaled = f"{term['scale'][index]:.6g} a {term['offset'][index]:+.6g}"
@@ -246,7 +248,7 @@ def _law(term: Mapping[str, Any], index: int) -> str:
     return lines + (f", moving average with weight {term['alpha'][index]:.6g}" if "alpha" in term else "")
 
 
-def _margins(spec: Mapping[str, Any]) -> list[str]:
+def _margins(spec: PolicyJson) -> list[str]:
     """Return the section about the largest changes that the policy survived in simulation."""
     head = "## Margins\n\n"
     if not spec["margins"]:
@@ -257,17 +259,17 @@ def _margins(spec: Mapping[str, Any]) -> list[str]:
     return [head + text, _table(("change", "policy", "reference controller", "unit"), rows)]
 
 
-def _trained_with(spec: Mapping[str, Any]) -> list[str]:
+def _trained_with(spec: PolicyJson) -> list[str]:
     """Return lines about the observation noise and delays of the training, which the exported ``runner.py`` omits."""
-    terms = [(f"observation `{term['name']}`", term) for group in spec["observations"] for term in group["terms"]]
-    terms += [(f"action `{term['name']}`", term) for term in spec["actions"]]
-    terms += [(f"drive `{drive['name']}`", drive) for drive in spec["actuators"]]
+    parts = [(f"observation `{t['name']}`", t["trained_with"]) for g in spec["observations"] for t in g["terms"]]
+    parts += [(f"action `{term['name']}`", term["trained_with"]) for term in spec["actions"]]
+    parts += [(f"drive `{drive['name']}`", drive["trained_with"]) for drive in spec["actuators"]]
     lines = []
-    for name, term in terms:
-        if term["trained_with"].get("delay_steps"):
-            low, high = term["trained_with"]["delay_steps"]
+    for name, added in parts:
+        if delay := added["delay_steps"]:
+            low, high = delay
             lines.append(f"- {name}: {low} to {high} physics steps of {1000 * spec['physics_dt']:.4g} ms late")
-        if term["trained_with"].get("noise"):
+        if added.get("noise"):
             lines.append(f"- {name}: with noise")
     if not lines:
         return []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -22,6 +22,20 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.export.bundle.runner import projected_gravity
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, observation_specs, reading, readings_of
+from wheelleg_exp.jobs.export.policy_json import (
+    ActionLaw,
+    ActionTerm,
+    Drive,
+    Limits,
+    Network,
+    PerJoint,
+    Robot,
+    Rule,
+    Safety,
+    Specification,
+    Upright,
+)
+from wheelleg_exp.jobs.export.policy_json import Imu as ImuPose
 from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import Imu
@@ -29,10 +43,11 @@ from wheelleg_exp.sim.sensors import Imu
 _DRIVE_LAWS: dict[type, str] = {actuators.ImplicitActuator: "implicit", actuators.DCMotor: "dc_motor"}
 _DRIVE_LAWS |= dict.fromkeys((actuators.IdealPDActuator, actuators.DelayedPDActuator), "pd")
 _DRIVE_RATE_MARGIN = 10.0
-_DRIVE_KEYS = ("stiffness", "damping", "effort_limit", "velocity_limit")
+_DriveKey = Literal["stiffness", "damping", "effort_limit", "velocity_limit"]
+_DRIVE_KEYS: tuple[_DriveKey, ...] = get_args(_DriveKey)
 
 
-def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
+def drive_specs(env: ManagerBasedRLEnv) -> list[Drive]:
     """Return a description of each actuator group of the robot, in the order of the config.
 
     ``law`` is ``implicit`` (a spring and a damper inside the solver, clipped to the effort limit), ``pd`` (spring and
@@ -42,13 +57,26 @@ def drive_specs(env: ManagerBasedRLEnv) -> list[dict[str, Any]]:
     found = []
     for name, group in env.scene.robot.actuators.items():
         node = env.cfg["robot"]["actuators"][name]
-        numbers = {key: [finite(value) for value in getattr(group, key)[0].tolist()] for key in _DRIVE_KEYS}
-        spec: dict[str, Any] = {"name": name, "law": drive_law(group), "class": type(group).__name__}
-        spec |= {"joint_names": list(group.joint_names), "joint_ids": group.joint_ids.tolist(), **numbers}
-        spec |= {"saturation_effort": group._saturation.tolist() if isinstance(group, actuators.DCMotor) else None}
         delay = node.get("delay") or ([node["min_delay"], node["max_delay"]] if "max_delay" in node else None)
-        found.append(spec | {"trained_with": {"delay_steps": delay}})
+        spec: Drive = {
+            "name": name,
+            "law": drive_law(group),
+            "class": type(group).__name__,
+            "joint_names": list(group.joint_names),
+            "joint_ids": group.joint_ids.tolist(),
+            "stiffness": _numbers(group.stiffness),
+            "damping": _numbers(group.damping),
+            "effort_limit": _numbers(group.effort_limit),
+            "velocity_limit": _numbers(group.velocity_limit),
+            "saturation_effort": group._saturation.tolist() if isinstance(group, actuators.DCMotor) else None,
+            "trained_with": {"delay_steps": delay},
+        }
+        found.append(spec)
     return found
+
+
+def _numbers(values: torch.Tensor) -> Limits:
+    return [finite(value) for value in values[0].tolist()]
 
 
 def drive_law(group: actuators.ActuatorBase) -> str | None:
@@ -56,7 +84,7 @@ def drive_law(group: actuators.ActuatorBase) -> str | None:
     return _DRIVE_LAWS.get(type(group))
 
 
-def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+def per_joint(env: ManagerBasedRLEnv, drives: list[Drive]) -> PerJoint:
     """Return the drive gains, limits, and mechanical properties of every joint, in the robot's joint order.
 
     The drive gains of a joint without a drive are 0. ``inertia`` is the inertia of the bodies that a joint moves, about
@@ -65,25 +93,31 @@ def per_joint(env: ManagerBasedRLEnv, drives: list[dict[str, Any]]) -> dict[str,
     """
     robot = env.scene.robot
     count = len(robot.joint_names)
-    found: dict[str, list[float | None]] = {
-        key: [0.0 if key in _DRIVE_KEYS[:2] else None] * count for key in _DRIVE_KEYS
+    gains: dict[_DriveKey, Limits] = {
+        key: [0.0 if key in ("stiffness", "damping") else None] * count for key in _DRIVE_KEYS
     }
     for drive in drives:
         for key in _DRIVE_KEYS:
             for joint, value in zip(drive["joint_ids"], drive[key], strict=True):
-                found[key][joint] = value
+                gains[key][joint] = value
     model, dofs = env.scene.sim.model, robot.layout.dof_ids.tolist()
     matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, at_default(model, robot), matrix)
-    fields = {"armature": model.dof_armature, "friction": model.dof_frictionloss, "viscous_friction": model.dof_damping}
-    fields["inertia"] = matrix.diagonal() - model.dof_armature
-    found |= {name: values[dofs].tolist() for name, values in fields.items()}
     # ``effective`` is the inertia that a joint's torque accelerates if all other joints can move freely.
     effective = 1.0 / np.linalg.inv(matrix).diagonal()[dofs]
-    kp, kd = (np.array([value or 0.0 for value in found[key]]) for key in _DRIVE_KEYS[:2])
+    kp, kd = (np.array([value or 0.0 for value in gains[key]]) for key in _DRIVE_KEYS[:2])
     least = (kd + np.sqrt(kd**2 + 4 * kp * effective)) / (4 * effective)
-    found["drive_rate"] = np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist()
-    return found
+    return {
+        "stiffness": gains["stiffness"],
+        "damping": gains["damping"],
+        "effort_limit": gains["effort_limit"],
+        "velocity_limit": gains["velocity_limit"],
+        "armature": model.dof_armature[dofs].tolist(),
+        "friction": model.dof_frictionloss[dofs].tolist(),
+        "viscous_friction": model.dof_damping[dofs].tolist(),
+        "inertia": (matrix.diagonal() - model.dof_armature)[dofs].tolist(),
+        "drive_rate": np.maximum(_DRIVE_RATE_MARGIN * least, 1 / env.physics_dt).tolist(),
+    }
 
 
 def finite(value: float) -> float | None:
@@ -91,54 +125,71 @@ def finite(value: float) -> float | None:
     return value if abs(value) < float("inf") else None
 
 
-Spec = dict[str, Any]
-
-
-def action_specs(env: ManagerBasedRLEnv) -> list[Spec]:
+def action_specs(env: ManagerBasedRLEnv) -> list[ActionTerm]:
     """Return the action terms of a policy in order, each with its slice of the policy's output and its joints."""
     manager, start, found = env.action_manager, 0, []
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
-        term, bound = manager.get_term(name), manager.get_term_cfg(name)
+        term: Any = manager.get_term(name)
+        bound = manager.get_term_cfg(name)
         known = _KNOWN_ACTIONS.get(type(term))
         if known is None:
             message = f"a runner does not know the actions of '{bound.target}'"
             expected = "one of " + ", ".join(sorted(kind.__name__ for kind in _KNOWN_ACTIONS))
             raise ConfigError(message, key=bound.path, expected=expected)
-        ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()  # type: ignore[attr-defined]
-        place = {"name": name, "start": start, "stop": start + width, "joint_names": list(term.joint_names)}
-        spec = {**place, "joint_ids": ids, "drives": term.drives, **known(term), "clip": _clip(term)}
-        # The exported ``runner.py`` adds no action delay, because a real robot has its own delay.
-        found.append(spec | {"trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")}})
+        ids = torch.arange(len(env.scene.robot.joint_names))[term._ids].tolist()
+        spec: ActionTerm = {
+            "name": name,
+            "start": start,
+            "stop": start + width,
+            "joint_names": list(term.joint_names),
+            "joint_ids": ids,
+            "drives": term.drives,
+            **known(term),
+            "clip": _clip(term),
+            # The exported ``runner.py`` adds no action delay, because a real robot has its own delay.
+            "trained_with": {"delay_steps": env.cfg["actions"][name].get("delay")},
+        }
+        found.append(spec)
         start += width
     return found
 
 
-def _clip(term: Any) -> list[list[float | None]] | None:
+def _clip(term: Any) -> list[Limits] | None:
     """Return the lower and upper bound to which each joint's target is clipped; null means no bound."""
     if term._low is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
 
 
-def _affine(term: Any, function: str = "affine") -> Spec:
+def _affine(term: Any, function: str = "affine") -> ActionLaw:
     return {"function": function, "scale": term._scale.tolist(), "offset": term._offset[0].tolist()}
 
 
-def _to_limits(term: Any) -> Spec:
+def _to_limits(term: Any) -> ActionLaw:
     low, high = term._limits()
-    limits = {"low": [*map(finite, low[0].tolist())], "high": [*map(finite, high[0].tolist())]}
-    scale = {"scale": term._scale.tolist(), "offset": [0.0] * len(term._scale)}
-    return {"function": "to_limits", **scale, "rescale": term._rescale, **limits}
+    return {
+        "function": "to_limits",
+        "scale": term._scale.tolist(),
+        "offset": [0.0] * len(term._scale),
+        "rescale": term._rescale,
+        "low": _numbers(low),
+        "high": _numbers(high),
+    }
 
 
-def _binary(term: Any) -> Spec:
-    threshold = {"threshold": 0.0, "strict": False, "opens_above": True}
-    if isinstance(term, actions.AbsBinaryJointPositionAction):
-        threshold = {"threshold": term._threshold, "strict": term._positive, "opens_above": term._positive}
-    return {"function": "binary", **threshold, "open": term._open.tolist(), "close": term._close.tolist()}
+def _binary(term: Any) -> ActionLaw:
+    absolute = isinstance(term, actions.AbsBinaryJointPositionAction)
+    return {
+        "function": "binary",
+        "threshold": term._threshold if absolute else 0.0,
+        "strict": term._positive if absolute else False,
+        "opens_above": term._positive if absolute else True,
+        "open": term._open.tolist(),
+        "close": term._close.tolist(),
+    }
 
 
-_KNOWN_ACTIONS: dict[type, Callable[[Any], Spec]] = {
+_KNOWN_ACTIONS: dict[type, Callable[[Any], ActionLaw]] = {
     **dict.fromkeys((actions.JointPositionAction, actions.JointVelocityAction, actions.JointEffortAction), _affine),
     actions.RelativeJointPositionAction: lambda term: _affine(term, "relative"),
     actions.JointPositionToLimitsAction: _to_limits,
@@ -176,7 +227,7 @@ def require_perceptron(section: Mapping[str, Any], key: str) -> None:
         raise ConfigError(message, key=f"{key}.distribution_cfg.class_name", expected=expected)
 
 
-def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def network_arrays(policy: MLPModel, role: str) -> tuple[Network, dict[str, np.ndarray]]:
     """Return the description of a perceptron, and its arrays by name: float32, the deviation float64."""
     arrays: dict[str, np.ndarray] = {}
     if policy.obs_normalization:
@@ -196,8 +247,14 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[dict[str, Any], dict[st
             expected = "one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity"
             raise ConfigError(message, key=f"agent.{role}.activation", expected=expected)
     widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
-    about = {"file": "policy.npz", "dtype": "float32", "widths": widths, "activations": activations}
-    return about | {"normalized": bool(policy.obs_normalization)}, arrays
+    about: Network = {
+        "file": "policy.npz",
+        "dtype": "float32",
+        "widths": widths,
+        "activations": activations,
+        "normalized": bool(policy.obs_normalization),
+    }
+    return about, arrays
 
 
 def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
@@ -215,8 +272,8 @@ FORMAT_VERSION = 1
 
 
 def specification(
-    env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
+    env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, list[float]]]
+) -> Specification:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
     Lists such as ``stiffness`` have one value per joint, in the order of ``joint_names``; a null limit means no limit.
@@ -230,7 +287,7 @@ def specification(
     commands = [name.removeprefix(COMMANDS) for name in names if name.startswith(COMMANDS)]
     limits = [[finite(low), finite(high)] for low, high in layout.joint_pos_limits.tolist()]
     by_joint = per_joint(env, drives)
-    found = {
+    found: Robot = {
         "format_version": FORMAT_VERSION,
         "step_dt": env.step_dt,
         "physics_dt": env.physics_dt,
@@ -264,7 +321,7 @@ def specification(
             "quat": layout.default_root_quat.tolist(),
         },
     }
-    return found | {"safety": safety(env, found)}
+    return {**found, "safety": safety(env, found)}
 
 
 # ``policy_step`` of the C header returns ``not_finite``; ``update`` returns the other codes.
@@ -275,7 +332,7 @@ _STILL, _SLOW = {"ang_vel": 0.2, "joint_vel": 0.5}, {"ang_vel": 4.0, "joint_vel"
 _POSITION_MARGIN, _VELOCITY_FACTOR = 0.2, 2.0  # rad beyond the joint limits; times the velocity or effort limit
 
 
-def safety(env: ManagerBasedRLEnv, spec: Spec) -> Spec:
+def safety(env: ManagerBasedRLEnv, spec: Robot) -> Safety:
     """Return the section ``safety`` of ``policy.json``: the numbers of ``Policy.update`` in ``runner.py``.
 
     Lists have one value per component of a reading. A null bound means that the bound does not exist.
@@ -289,14 +346,14 @@ def safety(env: ManagerBasedRLEnv, spec: Spec) -> Spec:
         "missed_steps": 3,
         "stale_s": 2.5 * spec["step_dt"],
         "readings": {name: _plausible(name, spec) for name in spec["readings"]},
-        "fall": None if fall is None else fall | {"angle": angle, "steps": 3},
+        "fall": None if fall is None else {**fall, "angle": angle, "steps": 3},
         "stop": {"position": spec["default_joint_pos"], "gain": 0.2, "ramp_s": 0.5},
         "recover": {"angle": min(0.35, angle / 2), "stopped_s": 0.03, "fallen_s": 1.0, "gain_ramp_s": 0.1},
         "start": {"rest_s": 1.0, "lift_s": 2.0, "upright_s": 0.5},
     }
 
 
-def _upright(spec: Spec) -> Spec | None:
+def _upright(spec: Robot) -> Upright | None:
     """Return the reading that shows the base's tilt, and its value when the base is upright; None without such one."""
     if "projected_gravity" in spec["readings"] and spec["root"]["floating"]:
         return {"reading": "projected_gravity", "upright": [0.0, 0.0, -1.0]}
@@ -306,17 +363,23 @@ def _upright(spec: Spec) -> Spec | None:
     return None
 
 
-def _plausible(name: str, spec: Spec) -> Spec:
+def _plausible(name: str, spec: Robot) -> Rule:
     """Return the checks of one reading: its kind, its bounds, its largest jump in a control step, and slow values."""
     width, kind = spec["readings"][name]["width"], name.rpartition(".")[2].removeprefix("base_")
     speeds = spec["velocity_limit"]
-    rule: Spec = {"check": "bounds", "low": [None] * width, "max_jump": [None] * width}
-    rule |= {"high": [_MOST.get(kind)] * width, "still": _STILL.get(kind), "slow": _SLOW.get(kind)}
+    rule: Rule = {
+        "check": "bounds",
+        "low": [None] * width,
+        "max_jump": [None] * width,
+        "high": [_MOST.get(kind)] * width,
+        "still": _STILL.get(kind),
+        "slow": _SLOW.get(kind),
+    }
     if name == "joint_pos":
         rule["check"] = "encoder"
-        for side, key, margin in ((0, "low", -_POSITION_MARGIN), (1, "high", _POSITION_MARGIN)):
-            bounds = [pair[side] for pair in spec["joint_pos_limits"]]
-            rule[key] = [None if bound is None else bound + margin for bound in bounds]
+        low, high = zip(*spec["joint_pos_limits"], strict=True)
+        rule["low"] = [None if bound is None else bound - _POSITION_MARGIN for bound in low]
+        rule["high"] = [None if bound is None else bound + _POSITION_MARGIN for bound in high]
         rule["max_jump"] = [speed and _VELOCITY_FACTOR * speed * spec["step_dt"] for speed in speeds]
         return rule
     if name in ("joint_vel", "joint_effort"):
@@ -325,17 +388,18 @@ def _plausible(name: str, spec: Spec) -> Spec:
     elif name.startswith(COMMANDS):
         ranges = list(spec["commands"][name.removeprefix(COMMANDS)].values())
         if len(ranges) == width:  # 0 is always allowed, because a lost command becomes 0.
-            rule["low"], rule["high"] = ([f(0.0, *pair) for pair in ranges] for f in (min, max))
-        return rule | {"check": "command"}
+            rule["low"], rule["high"] = [min(0.0, *pair) for pair in ranges], [max(0.0, *pair) for pair in ranges]
+        rule["check"] = "command"
+        return rule
     elif kind in ("projected_gravity", "quat"):
-        rule |= {"check": "unit_vector", "norm": [0.5, 1.5]}
+        rule["check"], rule["norm"] = "unit_vector", [0.5, 1.5]
         if kind == "projected_gravity":  # Gravity turns in the base's axes at most as fast as the gyroscope can show.
             rule["max_jump"] = [_MOST["ang_vel"] * spec["step_dt"]] * width
     rule["low"] = [None if high is None else -high for high in rule["high"]]
     return rule
 
 
-def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, Any]]) -> list[int]:
+def _rolling(limits: list[Limits], stiffness: Limits, actions: list[ActionTerm]) -> list[int]:
     """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
 
     A wheel's encoder does not count turns of the wheel. In training, wheels start episodes at their default positions.
@@ -345,7 +409,7 @@ def _rolling(limits: list[Any], stiffness: list[Any], actions: list[dict[str, An
     return [i for i in free if driven.get(i, "absolute" if stiffness[i] else "relative") == "relative"]
 
 
-def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Any]:
+def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Limits]:
     """Return the acceleration limits of the commands, m/s² and rad/s², without commands that have no limits."""
     found = {}
     for name in commands:
@@ -355,11 +419,11 @@ def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Any
     return found
 
 
-def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, Any]:
+def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, ImuPose]:
     """Return the pose of each IMU whose readings the policy observes."""
-    found = {}
+    found: dict[str, ImuPose] = {}
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):
-            place = {"pos": sensor._offset_pos.tolist(), "quat": sensor._offset_quat.tolist()}
-            found[name] = {"body": sensor.body_names[0], **place}
+            pos, quat = sensor._offset_pos.tolist(), sensor._offset_quat.tolist()
+            found[name] = {"body": sensor.body_names[0], "pos": pos, "quat": quat}
     return found

@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from wheelleg_exp.jobs.export.c_update import update_code
+from wheelleg_exp.jobs.export.policy_json import ActionTerm, Modifier, ObservationTerm, PolicyJson
 
-Spec = Mapping[str, Any]
 _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
 
 
-def term_memory(name: str, term: Spec) -> Iterator[str]:
+def term_memory(name: str, term: ObservationTerm) -> Iterator[str]:
     """Yield C declarations of the arrays that store an observation term's history and modifier states."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
@@ -32,7 +31,7 @@ def term_memory(name: str, term: Spec) -> Iterator[str]:
             yield f"float in_{name}_{number_of}[{sizes[0]}], out_{name}_{number_of}[{sizes[1]}];"
 
 
-def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
+def term_lines(name: str, term: ObservationTerm, spec: PolicyJson) -> Iterator[str]:
     """Yield the C lines that compute the value of an observation term and append this value to the term's history."""
     yield f"/* {in_comment(term['name'])} */"
     yield from _value(name, term, float(spec["step_dt"]))
@@ -47,7 +46,7 @@ def term_lines(name: str, term: Spec, spec: Spec) -> Iterator[str]:
     yield f"policy_remember(s->history_{name}, v, {width}, {max(1, term['history_length'])}, first);"
 
 
-def action_lines(name: str, term: Spec) -> Iterator[str]:
+def action_lines(name: str, term: ActionTerm) -> Iterator[str]:
     """Yield C code that scales, clips, and filters the network's output for one action term."""
     for i, joint in enumerate(term["joint_ids"]):
         out = f"s->processed_{name}[{i}]"
@@ -66,7 +65,7 @@ def number(value: float | None, missing: str = "FLT_MAX") -> str:
     return missing if value is None else f"{float(np.clip(np.float32(value), _LEAST, _MOST))!r}f"
 
 
-def _processed(out: str, term: Spec, i: int) -> Iterator[str]:
+def _processed(out: str, term: ActionTerm, i: int) -> Iterator[str]:
     raw = f"s->action[{term['start'] + min(i, term['stop'] - term['start'] - 1)}]"
     if term["function"] == "binary":
         above = f"{raw} {'>' if term['strict'] else '>='} {number(term['threshold'])}"
@@ -78,12 +77,13 @@ def _processed(out: str, term: Spec, i: int) -> Iterator[str]:
         low, high = term["clip"][i]
         yield f"{out} = policy_clip({out}, {number(low, '-INFINITY')}, {number(high)});"
     if term.get("rescale"):
-        low, high = np.float32(term["low"][i]), np.float32(term["high"][i])
-        middle, half = number(float((low + high) / 2)), number(float((high - low) / 2))
+        bounds = term["low"][i], term["high"][i]
+        least, most = (np.float32(np.nan if bound is None else bound) for bound in bounds)
+        middle, half = number(float((least + most) / 2)), number(float((most - least) / 2))
         yield f"{out} = {middle} + policy_clip({out}, -1.0f, 1.0f) * {half};"
 
 
-def _value(name: str, term: Spec, dt: float) -> Iterator[str]:
+def _value(name: str, term: ObservationTerm, dt: float) -> Iterator[str]:
     kind, columns = term["function"], term.get("columns")
     time = f"(float)s->steps * {number(dt)}"
     if kind == "last_action":
@@ -112,7 +112,7 @@ def _value(name: str, term: Spec, dt: float) -> Iterator[str]:
         yield from _read(term)
 
 
-def _read(term: Spec) -> Iterator[str]:
+def _read(term: ObservationTerm) -> Iterator[str]:
     source, columns = f"r->{identifier(term['reading'])}", term.get("columns")
     if term["function"] == "roll_pitch":
         yield f"v[0] = atan2f(-{source}[1], -{source}[2]);"
@@ -131,7 +131,7 @@ def _read(term: Spec) -> Iterator[str]:
             yield f"v[{i}] = {x};"
 
 
-def _modified(name: str, modifier: Spec) -> str:
+def _modified(name: str, modifier: Modifier) -> str:
     """Return C code that applies an observation modifier to ``v[i]``, such as ``v[i] *= 2.0f;``."""
     kind = modifier["kind"]
     if kind == "scale":
@@ -175,7 +175,7 @@ _ACTIVATIONS = {
 }
 
 
-def c_header(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
+def c_header(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> str:
     """Return the text of ``policy.h`` for the content of ``policy.json`` and the arrays of the policy network."""
     groups = enumerate(spec["observations"])
     terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
@@ -226,7 +226,7 @@ def _array(kind: str, name: str, values: Iterable[str]) -> str:
     return f"static const {kind} {name}[{len(words)}] = {{\n" + ",\n".join(lines) + "};"
 
 
-def _constants(spec: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Iterable[str]:
+def _constants(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> Iterable[str]:
     yield _array("float", "policy_default_joint_pos", map(number, spec["default_joint_pos"]))
     yield _array("float", "policy_velocity_limit", map(number, spec["velocity_limit"]))
     for name, array in arrays.items():
@@ -241,7 +241,7 @@ def _literal(word: str, kind: str) -> str:
     return word + point + ("f" if kind == "float" else "")
 
 
-def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
+def _layout(spec: PolicyJson) -> Iterable[str]:
     """Yield C code that concatenates the histories of all observation terms into the network's input."""
     yield "next = s->observation;"
     for g, group in enumerate(spec["observations"]):
@@ -254,7 +254,7 @@ def _layout(spec: Mapping[str, Any]) -> Iterable[str]:
                 yield f"memcpy(next, s->history_{g}_{t} + {start}, {count} * sizeof(float)); next += {count};"
 
 
-def _layers(spec: Mapping[str, Any]) -> Iterable[str]:
+def _layers(spec: PolicyJson) -> Iterable[str]:
     network, inputs = spec["network"], spec["observation_width"]
     for k, (width, activation) in enumerate(zip(network["widths"], network["activations"], strict=True)):
         here, there = ("a", "b") if k % 2 == 0 else ("b", "a")
@@ -268,18 +268,18 @@ def _layers(spec: Mapping[str, Any]) -> Iterable[str]:
     yield f"for (i = 0; i < POLICY_ACTIONS; i++) s->action[i] = (float){result}[i];"
 
 
-def _zero(spec: Mapping[str, Any]) -> Iterable[str]:
+def _zero(spec: PolicyJson) -> Iterable[str]:
     for i in map(spec["joint_names"].index, spec["rolling_joints"]):
         yield f"if (first) s->zero[{i}] = counted.joint_pos[{i}] - policy_default_joint_pos[{i}];"
 
 
-def _limits(spec: Mapping[str, Any]) -> Iterable[str]:
+def _limits(spec: PolicyJson) -> Iterable[str]:
     for i, (low, high) in enumerate(spec["joint_pos_limits"]):
         position = f"out->position[{i}]"
         yield f"{position} = policy_clip({position} + s->zero[{i}], {number(low, '-FLT_MAX')}, {number(high)});"
 
 
-def _applied(spec: Mapping[str, Any]) -> Iterable[str]:
+def _applied(spec: PolicyJson) -> Iterable[str]:
     for place, term in enumerate(spec["actions"]):
         for index, joint in enumerate(term["joint_ids"]):
             relative = f"joint_pos[{joint}] - s->zero[{joint}] + " if term["function"] == "relative" else ""

@@ -7,32 +7,35 @@ the section ``safety`` of ``policy.json``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.jobs.export.bundle.runner import TARGETS, columns
+from wheelleg_exp.jobs.export.policy_json import Fall, PolicyJson
 
-Spec = Mapping[str, Any]
 _CHECKS = ("bounds", "unit_vector", "command", "encoder")
 _NO_BOUND = 1e30  # a float that no reading reaches; ``inf`` is undefined with -ffast-math
 
 
-def update_code(spec: Spec) -> str:
+def update_code(spec: PolicyJson) -> str:
     """Return C code with the struct ``policy_guard`` and the functions ``policy_begin`` and ``policy_update``."""
     code = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8")
     return "\n".join([*_constants(spec), code.rstrip()])
 
 
-def _constants(spec: Spec) -> Iterator[str]:
+def _constants(spec: PolicyJson) -> Iterator[str]:
     safety, step_us = spec["safety"], round(1e6 * spec["step_dt"])
     start, stop, recover = safety["start"], safety["stop"], safety["recover"]
-    unknown: Spec = {"reading": "joint_pos", "upright": [0.0] * len(spec["joint_names"]), "angle": 0.0, "steps": 1}
+    unknown: Fall = {"reading": "joint_pos", "upright": [0.0] * len(spec["joint_names"]), "angle": 0.0, "steps": 1}
     fall = safety["fall"] or unknown
     names, rules = list(safety["readings"]), list(safety["readings"].values())
     seconds = {"REST": start["rest_s"], "LIFT": start["lift_s"], "UPRIGHT": start["upright_s"], "RAMP": stop["ramp_s"]}
     seconds |= {"STOPPED": recover["stopped_s"], "FALLEN": recover["fallen_s"], "GAIN": recover["gain_ramp_s"]}
-    numbers = {"HOLD_STEPS": safety["hold_steps"], "MISSED_STEPS": safety["missed_steps"], "FALL_STEPS": fall["steps"]}
+    numbers: dict[str, int | str] = {
+        "HOLD_STEPS": safety["hold_steps"],
+        "MISSED_STEPS": safety["missed_steps"],
+        "FALL_STEPS": fall["steps"],
+    }
     numbers |= {"STEP_US": step_us, "STALE_US": round(1e6 * safety["stale_s"])}
     numbers |= {f"{name}_STEPS": max(1, round(value / spec["step_dt"])) for name, value in seconds.items()}
     numbers |= {"STOP_GAIN": _float(stop["gain"]), "RECOVER_COSINE": _float(math.cos(recover["angle"]))}
@@ -54,10 +57,11 @@ def _constants(spec: Spec) -> Iterator[str]:
     table = zip(starts, widths, (_CHECKS.index(rule["check"]) for rule in rules), strict=True)
     yield "static const int policy_rule[POLICY_KINDS][3] = { /* first number, width, check */"
     yield ",\n".join(f"    {{{a}, {b}, {c}}}" for a, b, c in table) + "};"
-    for key, sign in (("low", -1), ("high", 1), ("max_jump", 1)):
-        yield _array(f"policy_{key}", [sign * _NO_BOUND if v is None else v for rule in rules for v in rule[key]])
-    for key in ("still", "slow"):
-        yield _array(f"policy_{key}", [_NO_BOUND if rule[key] is None else rule[key] for rule in rules])
+    yield _array("policy_low", [-_NO_BOUND if v is None else v for rule in rules for v in rule["low"]])
+    for key, bounds in (("high", [r["high"] for r in rules]), ("max_jump", [r["max_jump"] for r in rules])):
+        yield _array(f"policy_{key}", [_NO_BOUND if v is None else v for values in bounds for v in values])
+    for key, values in (("still", [r["still"] for r in rules]), ("slow", [r["slow"] for r in rules])):
+        yield _array(f"policy_{key}", [_NO_BOUND if v is None else v for v in values])
     yield _array("policy_norm", [bound for rule in rules for bound in rule.get("norm", (0.0, _NO_BOUND))])
     yield _array("policy_upright", fall["upright"])
     yield _array("policy_safe_position", stop["position"])

@@ -50,6 +50,7 @@ from wheelleg_exp.jobs.export.bundle_specification import (
 from wheelleg_exp.jobs.export.c_header import c_header
 from wheelleg_exp.jobs.export.isaaclab_run import write_isaac_lab_run
 from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
+from wheelleg_exp.jobs.export.policy_json import PolicyJson
 from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.machine import require_memory
@@ -100,7 +101,7 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
     return found
 
 
-def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
+def with_metadata(model: bytes, spec: PolicyJson) -> bytes:
     """Return an ONNX model with the content of ``policy.json`` as metadata.
 
     In the ONNX metadata, a list such as ``joint_names`` is one string of comma-separated values, as in mjlab's exports.
@@ -127,10 +128,10 @@ def with_metadata(model: bytes, spec: Mapping[str, Any]) -> bytes:
     for key, value in about.items():
         entry = loaded.metadata_props.add()
         entry.key, entry.value = key, value
-    return loaded.SerializeToString()
+    return bytes(loaded.SerializeToString())
 
 
-def _comma_separated(values: Iterable[Any]) -> str:
+def _comma_separated(values: Iterable[object]) -> str:
     return ",".join("" if value is None else str(value) for value in values)
 
 
@@ -182,7 +183,7 @@ def export(
             work.rename(place)
         folder = place.resolve()
     if folder.is_relative_to(run.path):
-        results: dict[str, Any] = {"folder": str(folder.relative_to(run.path)), "checkpoint": checkpoint.name}
+        results: dict[str, object] = {"folder": str(folder.relative_to(run.path)), "checkpoint": checkpoint.name}
         results |= {"largest_difference": differences, "lacks": notes}
         try:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -212,22 +213,39 @@ def _fill(
         return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy, task)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
-    spec = specification(plain, agent, _ranges(plain, state))
+    plain_spec = specification(plain, agent, _ranges(plain, state))
     steps = min(2 * plain.max_episode_length, _MOST_STEPS)
-    width = spec["observation_width"]
+    width = plain_spec["observation_width"]
     require_memory(4 * steps * width, f"env.observations.{groups[0]}", f"{steps} recorded steps of {width:,} numbers")
-    env = ManagerBasedRLEnv(as_checked(params, spec["rolling_joints"]), mjcf, seed)
+    env = ManagerBasedRLEnv(as_checked(params, plain_spec["rolling_joints"]), mjcf, seed)
     set_threads(agent, env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
     policy = load_policy(checkpoint, adapter, agent)
     network, arrays = network_arrays(policy, role)
-    clip, names = agent.get("clip_actions"), list(leapp_readings(spec).values() if kind == LEAPP else spec["readings"])
+    clip, names = (
+        agent.get("clip_actions"),
+        list(leapp_readings(plain_spec).values() if kind == LEAPP else plain_spec["readings"]),
+    )
     recorded = recorded_episodes(adapter, in_float64(policy), policy, groups, names, clip, steps)
-    origin = {"id": run.id, "task": run.manifest().data.get("task"), "iteration": state["iter"]}
-    origin |= {"checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
-    spec = {"format_version": spec.pop("format_version"), "run": origin, **spec}
-    about = {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32}
-    spec |= {"network": network, "check": about, "margins": [margin._asdict() for margin in margins]}
+    spec: PolicyJson = {
+        "format_version": plain_spec["format_version"],
+        "run": {
+            "id": run.id,
+            "task": run.manifest().data.get("task"),
+            "iteration": state["iter"],
+            "checkpoint": checkpoint.name,
+            "checkpoint_sha256": sha256(checkpoint),
+        },
+        **plain_spec,
+        "network": network,
+        "check": {
+            "file": "check.npz",
+            "steps": steps,
+            "tolerance": TOLERANCE,
+            "tolerance_float32": TOLERANCE_FLOAT32,
+        },
+        "margins": [{"name": m.name, "unit": m.unit, "policy": m.policy, "reference": m.reference} for m in margins],
+    }
     if kind == LEAPP:
         return write_leapp(folder, spec, plain, policy.as_onnx(verbose=False), recorded)
     write_bytes(folder / "policy.npz", _npz(arrays))
@@ -251,9 +269,9 @@ def _fill(
     return differences, notes
 
 
-def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, Any]:
+def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
     """Return the command ranges at the end of training, which a curriculum may have widened."""
-    found = {}
+    found: dict[str, dict[str, list[float]]] = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
         term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
@@ -280,7 +298,7 @@ def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def _readings_csv(spec: Mapping[str, Any], recorded: Mapping[str, np.ndarray]) -> str:
+def _readings_csv(spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> str:
     """Return the readings of the first recorded episode as CSV, in the layout of a robot log."""
     steps = int(np.append(np.flatnonzero(recorded["reset"]), len(recorded["reset"]))[1])
     names = [c for n, r in spec["readings"].items() for c in runner.columns(n, r["width"], spec["joint_names"])]

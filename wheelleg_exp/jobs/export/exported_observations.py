@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import FunctionType
+from typing import Any, TypedDict, cast
 
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers import SceneEntityCfg, Term
-from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.jobs.export.policy_json import Modifier, ObservationGroup, ObservationTerm, TermValue
+from wheelleg_exp.managers import SceneEntityCfg, Term, observation_term
 from wheelleg_exp.mdp import modifiers
 from wheelleg_exp.mdp import observations as obs
 from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
@@ -69,14 +70,19 @@ def reading(name: str) -> Reading:
     return Reading("m/s, rad/s", meaning, lambda env: env.command_manager.get_command(term))
 
 
-Spec = dict[str, Any]
+class Scaled(TypedDict, total=False):
+    """The factors of an observation term, if it has any."""
+
+    scale: list[float]
+
+
 _ROBOT = SceneEntityCfg("robot")
 _IMU = "imu"  # the name of the IMU that observation terms read by default
 
 
-def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
+def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[ObservationGroup]:
     """Return a description of a policy's observation groups and of the groups' terms, in order."""
-    found: list[Spec] = []
+    found: list[ObservationGroup] = []
     for group in groups:
         node = env.cfg["observations"][group]
         terms = env.observation_manager.terms(group)
@@ -85,7 +91,7 @@ def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[Spec]:
     return found
 
 
-def readings_of(groups: list[Spec]) -> list[str]:
+def readings_of(groups: list[ObservationGroup]) -> list[str]:
     """Return the names of the sensor readings that observation terms need; ``joint_pos`` is always one of them."""
     names: list[str] = []
     for term in (term for group in groups for term in group["terms"]):
@@ -93,97 +99,119 @@ def readings_of(groups: list[Spec]) -> list[str]:
     return list(dict.fromkeys([*names, "joint_pos"]))
 
 
-def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: ObservationTerm) -> Spec:
+def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: observation_term.ObservationTerm) -> ObservationTerm:
     bound, fields = term.term, term.term.fields
     known = _KNOWN.get(bound.func) or _KNOWN.get(type(bound.func))
     if known is None:
         message = f"a runner without the simulation cannot work out '{bound.target}'"
-        expected = "one of " + ", ".join(sorted(function.__name__ for function in _KNOWN))
+        expected = "one of " + ", ".join(
+            sorted(function.__name__ for function in _KNOWN if isinstance(function, (type, FunctionType)))
+        )
         raise ConfigError(message, key=bound.path, expected=expected)
     clip, scale = fields.get("clip"), fields.get("scale")
-    spec = {"name": bound.name, **known(env, bound), "width": term.width, "history_length": term.history_length}
     parts = [part for name, part in term.parts().items() if name != "noise"]
-    spec["modifiers"] = [
-        _modifier(modifier, part, f"{bound.path}.modifiers[{number}]")
-        for number, (modifier, part) in enumerate(zip(node.get("modifiers") or [], parts, strict=True))
-    ]
-    spec["clip"] = None if clip is None else [float(clip[0]), float(clip[1])]
+    scales: Scaled = {}
     if scale is not None:
-        spec["scale"] = [float(scale)] * term.width if isinstance(scale, (int, float)) else list(map(float, scale))
+        scales = {"scale": [float(scale)] * term.width if isinstance(scale, (int, float)) else [*map(float, scale)]}
     # The exported ``runner.py`` adds no noise, because the sensors of a real robot have noise.
     noise = node.get("noise") if env.cfg["observations"][bound.path.split(".")[2]].get("enable_corruption") else None
-    return spec | {"trained_with": {"noise": noise, "delay_steps": node.get("delay")}}
+    return {
+        "name": bound.name,
+        **known(env, bound),
+        "width": term.width,
+        "history_length": term.history_length,
+        "modifiers": [
+            _modifier(modifier, part, f"{bound.path}.modifiers[{number}]")
+            for number, (modifier, part) in enumerate(zip(node.get("modifiers") or [], parts, strict=True))
+        ],
+        "clip": None if clip is None else [float(clip[0]), float(clip[1])],
+        **scales,
+        "trained_with": {"noise": noise, "delay_steps": node.get("delay")},
+    }
 
 
-def _modifier(node: Mapping[str, Any], part: Any, path: str) -> Spec:
-    kinds: dict[type, str] = {modifiers.Scale: "scale", modifiers.Bias: "bias", modifiers.Clip: "clip"}
+def _modifier(node: Mapping[str, Any], part: object, path: str) -> Modifier:
+    kinds: dict[type[object], str] = {modifiers.Scale: "scale", modifiers.Bias: "bias", modifiers.Clip: "clip"}
     kinds |= {modifiers.DigitalFilter: "filter", modifiers.Integrator: "integrator"}
     if type(part) not in kinds:
         message = f"a runner does not know the modifier '{node[TARGET]}'"
         raise ConfigError(message, key=path, expected="one of " + ", ".join(kind.__name__ for kind in kinds))
-    return {"kind": kinds[type(part)], **{name: value for name, value in node.items() if name != TARGET}}
+    settings = {name: value for name, value in node.items() if name != TARGET}
+    return cast("Modifier", {"kind": kinds[type(part)], **settings})
 
 
-def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> Spec:
+def _of_joints(env: ManagerBasedRLEnv, term: Term, name: str) -> tuple[list[int], list[str]]:
     if term.params.get("measured") is False and name == "joint_pos":
         message = "the term shows joint positions that encoders do not measure"
         raise ConfigError(message, key=term.path, expected="measured: true")
-    return {"reading": name, **_joints(env, term.params.get("asset_cfg", _ROBOT).joint_ids)}
+    return _joints(env, term.params.get("asset_cfg", _ROBOT).joint_ids)
 
 
-def _joints(env: ManagerBasedRLEnv, chosen: Any) -> Spec:
+def _joints(env: ManagerBasedRLEnv, chosen: slice | torch.Tensor | Sequence[int]) -> tuple[list[int], list[str]]:
     """Return the columns and the names of the joints that a slice or a tensor of indices selects."""
     names = env.scene.robot.joint_names
     ids = torch.arange(len(names))[chosen].tolist()
-    return {"columns": ids, "joint_names": [names[i] for i in ids]}
+    return ids, [names[i] for i in ids]
 
 
-def _reading(name: str, function: str = "reading") -> Spec:
+def _reading(name: str, function: str = "reading") -> TermValue:
     return {"function": function, "reading": name}
 
 
-def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], TermValue]:
     return lambda _env, _term: _reading(name, function)
 
 
-def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
+def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], TermValue]:
     def sensor(term: Term) -> str:
         return str(term.params["asset_cfg"].name) if "asset_cfg" in term.params else _IMU
 
     return lambda _env, term: _reading(f"{sensor(term)}.{quantity}")
 
 
-def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    return lambda env, term: {"function": function, **_of_joints(env, term, name)}
-
-
-def _minus_default(name: str, default: str) -> Callable[[ManagerBasedRLEnv, Term], Spec]:
-    def spec(env: ManagerBasedRLEnv, term: Term) -> Spec:
-        found = _of_joints(env, term, name)
-        subtract = getattr(env.scene.robot.layout, default)[found["columns"]].tolist()
-        return {"function": "minus_default", **found, "subtract": subtract}
+def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], TermValue]:
+    def spec(env: ManagerBasedRLEnv, term: Term) -> TermValue:
+        columns, names = _of_joints(env, term, name)
+        return {"function": function, "reading": name, "columns": columns, "joint_names": names}
 
     return spec
 
 
-def _within_limits(env: ManagerBasedRLEnv, term: Term) -> Spec:
-    joints = _joints(env, term.func._ids)  # type: ignore[attr-defined]
-    low, high = env.scene.robot.layout.soft_joint_pos_limits[joints["columns"]].unbind(dim=1)
-    span = {"middle": ((low + high) / 2).tolist(), "range": (high - low).tolist()}
-    return {"function": "within_limits", "reading": "joint_pos", **joints, **span}
+def _minus_default(name: str, default: str) -> Callable[[ManagerBasedRLEnv, Term], TermValue]:
+    def spec(env: ManagerBasedRLEnv, term: Term) -> TermValue:
+        found = _joint_values(name, "minus_default")(env, term)
+        return {**found, "subtract": getattr(env.scene.robot.layout, default)[found["columns"]].tolist()}
+
+    return spec
 
 
-def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
+def _within_limits(env: ManagerBasedRLEnv, term: Term) -> TermValue:
+    function: Any = term.func
+    columns, names = _joints(env, function._ids)
+    low, high = env.scene.robot.layout.soft_joint_pos_limits[columns].unbind(dim=1)
+    return {
+        "function": "within_limits",
+        "reading": "joint_pos",
+        "columns": columns,
+        "joint_names": names,
+        "middle": ((low + high) / 2).tolist(),
+        "range": (high - low).tolist(),
+    }
+
+
+def _travel_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     name = term.params["command_name"]
     command: Any = env.command_manager.get_term(name)
     if type(command) is not UniformVelocityTravelCommand:
         message = f"a runner does not know how a '{type(command).__name__}' sums up its error"
         raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
     most = command._most[0].tolist()
+    columns, names = _joints(env, command._wheel_ids)
     return {
         "function": "travel_error",
         "needs": ["joint_vel", "base_ang_vel", f"{COMMANDS}{name}"],
-        **_joints(env, command._wheel_ids),
+        "columns": columns,
+        "joint_names": names,
         "command": f"{COMMANDS}{name}",
         "signs": list(command.wheel_signs),
         "wheel_radius": command._radius,
@@ -192,7 +220,7 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> Spec:
     }
 
 
-def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
+def _last_action(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     manager, chosen = env.action_manager, term.params.get("action_name")
     start, columns = 0, {}
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
@@ -201,7 +229,7 @@ def _last_action(env: ManagerBasedRLEnv, term: Term) -> Spec:
     return {"function": "last_action", "columns": list(range(start)) if chosen is None else columns[chosen]}
 
 
-_KNOWN: dict[Any, Callable[[ManagerBasedRLEnv, Term], Spec]] = {
+_KNOWN: dict[object, Callable[[ManagerBasedRLEnv, Term], TermValue]] = {
     obs.base_ang_vel: _plain("base_ang_vel"),
     obs.base_lin_vel: _plain("base_lin_vel"),
     obs.base_height: _plain("base_height"),

@@ -7,7 +7,7 @@ import of Isaac Lab's runs reads the tables of this module, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.robot import Robot
 from wheelleg_exp.terms.term_binding import RESERVED, TARGET, resolve_target, signature_parameters
 
-Tree = dict[str, Any]
+Tree = dict[str, Any]  # Isaac Lab or the config defines the keys.
 _OF_POLICY = ("commands", "actions", "observations")  # Terms that a policy needs are written with their own code.
 _MDP, _TASKS = "isaaclab.envs.mdp", "isaaclab_tasks.manager_based.locomotion.velocity.mdp"
 KINDS = ("commands", "actions", "observations", "events", "rewards", "terminations", "curriculum", "recorders")
@@ -103,7 +103,7 @@ _MODIFIER_FUNCTIONS = {here: there for there, here in MODIFIERS.items()}
 
 
 def write_isaac_lab_run(
-    folder: Path, env: ManagerBasedRLEnv, num_envs: int, agent: Mapping[str, Any], policy: MLPModel, task: str
+    folder: Path, env: ManagerBasedRLEnv, num_envs: int, agent: Tree, policy: MLPModel, task: str
 ) -> list[str]:
     """Write the run folder; return a note for each part of the config that Isaac Lab does not have.
 
@@ -133,7 +133,7 @@ def write_isaac_lab_run(
 class IsaacLabEnv:
     """Converts an ``env`` config to the content of ``env.yaml``; ``notes`` names what Isaac Lab does not have."""
 
-    def __init__(self, env: Mapping[str, Any], seed: int) -> None:
+    def __init__(self, env: Tree, seed: int) -> None:
         self.notes: list[str] = []
         scene, sim = env["scene"], env["sim"]
         robot, terrain = self._robot(env["robot"]), self._terrain(scene["terrain"], env["robot"])
@@ -150,12 +150,12 @@ class IsaacLabEnv:
             convert = self._group if kind == "observations" else self._term
             self.tree[kind] = self._each(convert, env.get(kind) or {}, kind)
 
-    def _each(self, convert: Any, nodes: Mapping[str, Any], key: str) -> Tree:
+    def _each(self, convert: Any, nodes: Tree, key: str) -> Tree:
         """Convert each node that is not null, and return those that Isaac Lab has."""
         made = {name: convert(f"{key}.{name}", node) for name, node in nodes.items() if node is not None}
         return {name: node for name, node in made.items() if node is not None}
 
-    def _values(self, key: str, name: str, node: Mapping[str, Any], skipped: Collection[str] = ()) -> Tree:
+    def _values(self, key: str, name: str, node: Tree, skipped: Collection[str] = ()) -> Tree:
         """Return a node's values without those in ``skipped``; ``name`` is the class or function in Isaac Lab."""
         found = {}
         for parameter, value in node.items():
@@ -167,11 +167,11 @@ class IsaacLabEnv:
                 found[parameter] = self._value(f"{key}.{parameter}", value)
         return found
 
-    def _value(self, key: str, value: Any) -> Any:
+    def _value(self, key: str, value: object) -> object:
         if isinstance(value, list):
             made = [(item, self._value(key, item)) for item in value]
             return [there for item, there in made if there is not None or item is None]
-        if not isinstance(value, Mapping):
+        if not isinstance(value, dict):
             return value
         name = _name(value)
         if name in _NOISE_FUNCTIONS:
@@ -188,7 +188,7 @@ class IsaacLabEnv:
             return None
         return self._values(key, name, value)
 
-    def _robot(self, robot: Mapping[str, Any]) -> Tree:
+    def _robot(self, robot: Tree) -> Tree:
         fixed = {"fixed": True, "floating": False}.get(robot["base"])
         properties = {"enabled_self_collisions": robot["self_collisions"], "fix_root_link": fixed}
         spawn: Tree = {"articulation_props": properties}
@@ -204,7 +204,7 @@ class IsaacLabEnv:
         found |= {name: robot[name] for name in ("init_state", "soft_joint_pos_limit_factor")}
         return found | {"actuators": self._each(self._actuator, robot["actuators"], "robot.actuators")}
 
-    def _actuator(self, key: str, node: Mapping[str, Any]) -> Tree | None:
+    def _actuator(self, key: str, node: Tree) -> Tree | None:
         kind = _name(node)
         if not hasattr(actuators, kind):
             self.notes.append(f"{key}: Isaac Lab has no {kind}")
@@ -216,7 +216,7 @@ class IsaacLabEnv:
             values |= {f"{limit}_sim": values.pop(limit) for limit in ("effort_limit", "velocity_limit")}
         return {"class_type": f"isaaclab.actuators:{kind}", **values}
 
-    def _terrain(self, node: Mapping[str, Any], robot: Mapping[str, Any]) -> Tree:
+    def _terrain(self, node: Tree, robot: Tree) -> Tree:
         kind, key = _name(node), "scene.terrain"
         material = {name: node[name] for name in _MATERIAL}
         material["friction_combine_mode"] = robot.get("friction_combine_mode", "average")
@@ -231,7 +231,7 @@ class IsaacLabEnv:
             self.notes.append(f"{key}: a plane replaces the {kind}")
         return found
 
-    def _tile(self, key: str, node: Mapping[str, Any]) -> Tree | None:
+    def _tile(self, key: str, node: Tree) -> Tree | None:
         kind = _name(node)
         turned = kind in ("PyramidStairs", "Box") and bool(node.get("inverted"))
         function = next((f for f, made in TILES.items() if made == kind and (f in INVERTED) == turned), None)
@@ -248,7 +248,7 @@ class IsaacLabEnv:
             values["slope_range"] = [math.tan(angle) for angle in values["slope_range"]]
         return {"function": f"isaaclab.terrains.{module}:{function}", **values}
 
-    def _sensor(self, key: str, node: Mapping[str, Any]) -> Tree | None:
+    def _sensor(self, key: str, node: Tree) -> Tree | None:
         kind = _name(node)
         if kind not in ("ContactSensor", "RayCaster", "Imu"):
             self.notes.append(f"{key}: Isaac Lab's {kind} has other settings")
@@ -267,13 +267,13 @@ class IsaacLabEnv:
             found["mesh_prim_paths"] = [_GROUND]
         return found
 
-    def _group(self, key: str, group: Mapping[str, Any]) -> Tree:
+    def _group(self, key: str, group: Tree) -> Tree:
         terms = self._each(self._term, group["terms"], key)
         if group.get("history_order", "term") != "term":
             self.notes.append(f"{key}.history_order: Isaac Lab orders histories by term")
         return self._values(key, "", group, ("terms", "history_order")) | terms
 
-    def _term(self, key: str, node: Mapping[str, Any]) -> Tree | None:
+    def _term(self, key: str, node: Tree) -> Tree | None:
         kind, name, target = key.partition(".")[0], _name(node), resolve_target(node[TARGET], key)
         module = target.__module__
         if any(node.get(parameter) for parameter in _DELAYS):
@@ -294,7 +294,7 @@ class IsaacLabEnv:
         return {"func": f"{module}:{name}", "params": values, **fields}
 
 
-def isaac_lab_agent(agent: Mapping[str, Any], seed: int, task: str) -> tuple[Tree, list[str]]:
+def isaac_lab_agent(agent: Tree, seed: int, task: str) -> tuple[Tree, list[str]]:
     """Return the content of ``agent.yaml`` for rsl_rl's runner, and notes about settings that it does not have."""
     actor, critic, groups = agent["actor"], agent["critic"], agent["obs_groups"]
     noise = actor.get("distribution_cfg") or {}
@@ -349,7 +349,7 @@ def _observation(term: ObservationTerm, robot: Robot) -> Tree:
     return entry
 
 
-def _name(node: Mapping[str, Any]) -> str:
+def _name(node: Tree) -> str:
     """Return the name of a node's class or function; an empty string without one."""
     return str(node.get(TARGET, "")).rpartition(".")[2]
 

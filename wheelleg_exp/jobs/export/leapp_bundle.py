@@ -19,7 +19,8 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.bundle_check import READING, within_tolerances
-from wheelleg_exp.jobs.export.exported_observations import COMMANDS, Spec, reading
+from wheelleg_exp.jobs.export.exported_observations import COMMANDS, reading
+from wheelleg_exp.jobs.export.policy_json import ActionTerm, Modifier, ObservationTerm, PolicyJson, Robot
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
 
 _NODE, _GRAVITY, _ACTION, _XYZ = "policy", "projected_gravity", "last_action", ("x", "y", "z")
@@ -36,14 +37,14 @@ _KINDS: dict[str, tuple[str, tuple[str, ...]]] = {
 _TWIST = ("command/body/velocity", ("lin_vel_x", "lin_vel_y", "ang_vel_z"))
 
 
-def leapp_readings(spec: Spec) -> dict[str, str]:
+def leapp_readings(spec: Robot) -> dict[str, str]:
     """Map each input of a LEAPP bundle to its reading; an orientation replaces a projected gravity, as in Isaac Lab."""
     names = ["base_quat" if name == _GRAVITY else name.replace(f".{_GRAVITY}", ".quat") for name in spec["readings"]]
     return {name.replace(".", "_"): name for name in names}
 
 
 def write_leapp(
-    folder: Path, spec: Spec, env: ManagerBasedRLEnv, network: torch.nn.Module, recorded: Mapping[str, np.ndarray]
+    folder: Path, spec: PolicyJson, env: ManagerBasedRLEnv, network: torch.nn.Module, recorded: Mapping[str, np.ndarray]
 ) -> tuple[dict[str, float], list[str]]:
     """Write a LEAPP bundle; return its largest difference from the recorded targets, and a note per unknown reading.
 
@@ -84,7 +85,7 @@ def write_leapp(
     return within_tolerances({"leapp": difference}), notes
 
 
-def _difference(policy: Any, spec: Spec, recorded: Mapping[str, np.ndarray]) -> float:
+def _difference(policy: Any, spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> float:
     """Return the largest relative difference of the bundle's targets, computed by leapp, from the recorded targets.
 
     The last action of each step is the recorded one, because rounding errors would grow through a policy's own actions.
@@ -120,7 +121,7 @@ class ControlStep:
     the state after the step.
     """
 
-    def __init__(self, annotate: Any, spec: Spec, readings: Mapping[str, torch.Tensor]) -> None:
+    def __init__(self, annotate: Any, spec: PolicyJson, readings: Mapping[str, torch.Tensor]) -> None:
         self._annotate, self._spec, self._readings = annotate, spec, dict(readings)
         self.new: dict[str, torch.Tensor] = {}
         self._steps = self._state("steps", 1)
@@ -128,7 +129,7 @@ class ControlStep:
         self._action = self._state(_ACTION, spec["action_width"])
         for name in (name for name in readings if name.endswith("quat")):
             self._readings[name] = torch.roll(readings[name], 1, 1)  # from (x, y, z, w), the order of ROS
-            w, x, y, z = torch.nn.functional.normalize(self._readings[name], dim=1).split(1, 1)
+            w, x, y, z = torch.split(torch.nn.functional.normalize(self._readings[name], dim=1), 1, 1)
             gravity = torch.cat((2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1), 1)
             self._readings[name.removesuffix("base_quat").replace(".quat", ".") + _GRAVITY] = gravity
 
@@ -166,7 +167,7 @@ class ControlStep:
             found["velocity"] = _within(found["velocity"], -most, most)
         return found
 
-    def _sample(self, name: str, term: Spec) -> torch.Tensor:
+    def _sample(self, name: str, term: ObservationTerm) -> torch.Tensor:
         """Return the history (1, length, width) of an observation term, with the oldest sample first."""
         x, older = self._value(name, term), term["history_length"] - 1
         for number, modifier in enumerate(term["modifiers"]):
@@ -178,7 +179,7 @@ class ControlStep:
             self.new[f"{name}_history"] = history[:, 1:]
         return history
 
-    def _value(self, name: str, term: Spec) -> torch.Tensor:
+    def _value(self, name: str, term: ObservationTerm) -> torch.Tensor:
         kind, time = term["function"], self._steps * self._spec["step_dt"]
         if kind in ("time", "remaining_time"):
             return time if kind == "time" else term["episode_length_s"] - time
@@ -201,11 +202,11 @@ class ControlStep:
         if kind == "within_limits":
             return 2 * (x - _row(term["middle"])) / _row(term["range"])
         if kind == "roll_pitch":
-            gx, gy, gz = x.split(1, 1)
+            gx, gy, gz = torch.split(x, 1, 1)
             return torch.cat((torch.atan2(-gy, -gz), torch.asin(gx.clamp(-1, 1))), 1)
         return torch.cat((torch.sin(x), torch.cos(x)), 1) if kind in ("sin_cos", "gait_phase") else x
 
-    def _modified(self, name: str, spec: Spec, x: torch.Tensor) -> torch.Tensor:
+    def _modified(self, name: str, spec: Modifier, x: torch.Tensor) -> torch.Tensor:
         if spec["kind"] in ("scale", "bias"):
             return x * spec["multiplier"] if spec["kind"] == "scale" else x + spec["value"]
         if spec["kind"] == "clip":
@@ -223,7 +224,7 @@ class ControlStep:
         self.new |= {f"{name}_inputs": inputs, f"{name}_outputs": torch.cat((y[..., None], outputs[..., :-1]), 2)}
         return y
 
-    def _processed(self, term: Spec, raw: torch.Tensor) -> torch.Tensor:
+    def _processed(self, term: ActionTerm, raw: torch.Tensor) -> torch.Tensor:
         """Return the joint targets (1, n) of one action term for its actions (1, n)."""
         if term["function"] == "binary":
             above = raw > term["threshold"] if term["strict"] else raw >= term["threshold"]

@@ -89,9 +89,9 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
             expected = "one of " + ", ".join(metrics)
             raise ConfigError(message, key="gate", expected=expected, nearest=nearest_name(name, metrics))
         value = values[name] = metrics[name]
-        known = value is not None and math.isfinite(value)
-        if not known or (value < bound if least else value > bound):  # type: ignore[operator]
-            shown = f"{value:.4g}" if known else "not a number"
+        finite = value if value is not None and math.isfinite(value) else None
+        if finite is None or (finite < bound if least else finite > bound):
+            shown = "not a number" if finite is None else f"{finite:.4g}"
             why.append(f"{name} is {shown}, but must be {'at least' if least else 'at most'} {bound:g}")
     return Verdict(not why, values, why)
 

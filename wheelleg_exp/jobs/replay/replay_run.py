@@ -95,8 +95,10 @@ class Replayed:
     whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Event  # ``composed["equal"]`` is true if the run's overrides still give the config that the run saved.
-    asset: Event  # ``asset["note"]`` explains why the replay did not convert the robot again.
+    composed: Mapping[
+        str, object
+    ]  # ``composed["equal"]`` is true if the run's overrides still give the config that the run saved.
+    asset: Mapping[str, object]  # ``asset["note"]`` explains why the replay did not convert the robot again.
     notes: list[str]
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison

@@ -34,7 +34,7 @@ EFFORT = 0.5  # largest planned share of the effort limit
 class Chirps:
     """The targets of all joints over time: J joints, two chirps each."""
 
-    def __init__(self, spec: Mapping[str, Any], scale: float = 1.0) -> None:
+    def __init__(self, spec: Any, scale: float = 1.0) -> None:
         self.spec, self.dt, self.scale = spec, spec["step_dt"], scale
         self.default = np.array(spec["default_joint_pos"], float)
         self.rest, self.length = round(REST / self.dt), round((SECONDS + REST) / self.dt)
@@ -68,7 +68,7 @@ class Chirps:
         most = EFFORT * effort / (2 * np.pi * high * inertia)
         return "velocity", min(SPEED * (spec["velocity_limit"][joint] or 30.0), most)
 
-    def row(self, time: float, readings: Mapping[str, Any], step: int) -> dict[str, float]:
+    def row(self, time: float, readings: Mapping[str, Sequence[float] | np.ndarray], step: int) -> dict[str, float]:
         """Return one row of the log: the readings at ``time`` (s), and the targets that were sent after them."""
         names, found = self.spec["joint_names"], {"time": time, "status": 0.0}
         parts: dict[str, Sequence[str]] = {"projected_gravity": "xyz"}

@@ -17,20 +17,22 @@ import argparse
 import csv
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 F = np.float32
+Array = npt.NDArray[Any]
 TARGETS = ("position", "velocity", "effort")
 TURN = F(2 * np.pi)
 OK, NOT_FINITE, HELD, LATE, FALLEN, STOPPED, STARTING = range(7)  # ``safety.status`` of policy.json explains them.
 ROUNDING = F(1e-6)
 MOST_STEPS = 10_000  # A longer pause counts as this number of control steps.
 LARGEST = 2.0**64  # Sensor readings above 2**64 are rejected, because their float32 sums could overflow.
-ACTIVATIONS: dict[str, Callable[..., Any]] = {
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "elu": lambda x: np.where(x > 0, x, np.expm1(np.minimum(x, 0.0))),
     "relu": lambda x: np.maximum(x, 0.0),
     "leaky_relu": lambda x: np.where(x > 0, x, 0.01 * x),
@@ -43,18 +45,18 @@ ACTIVATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-def array(values: Any, missing: float = 0.0) -> np.ndarray:
+def array(values: Iterable[np.floating | float | None], missing: float = 0.0) -> Array:
     """Convert a JSON list of numbers to a float32 array; replace each null by ``missing``."""
     return np.array([missing if value is None else value for value in values], F)
 
 
-def projected_gravity(quat: Any) -> np.ndarray:
+def projected_gravity(quat: npt.ArrayLike) -> Array:
     """Return the unit vector of gravity in the frame of a link; ``quat`` (w, x, y, z) is the link's orientation."""
     w, x, y, z = np.asarray(quat, np.float64) / np.linalg.norm(quat)
     return np.array([2 * (w * y - x * z), -2 * (w * x + y * z), 2 * (x * x + y * y) - 1], F)
 
 
-def gravity_or_zeros(quat: Any) -> np.ndarray:
+def gravity_or_zeros(quat: object) -> Array:
     """Return ``projected_gravity``; return zeros, a bad reading, if ``quat`` has no length between 0.5 and 1.5."""
     try:
         x = np.array(quat, np.float64)
@@ -67,7 +69,7 @@ def gravity_or_zeros(quat: Any) -> np.ndarray:
 class Term:
     """One term of the observation: its value, then modifiers, clip, scale and history."""
 
-    def __init__(self, spec: Mapping[str, Any], step_dt: float) -> None:
+    def __init__(self, spec: Any, step_dt: float) -> None:
         self.spec, self.dt = spec, step_dt
         self.columns = spec.get("columns")
         self.arrays = {key: array(spec[key]) for key in ("subtract", "middle", "range", "scale") if key in spec}
@@ -75,14 +77,14 @@ class Term:
 
     def reset(self) -> None:
         """Clear an observation term's history and modifier states at the start of an episode."""
-        self.history: np.ndarray | None = None  # The first sample after a reset fills the whole observation history.
-        self.memory: dict[int, list[np.ndarray]] = {}
+        self.history: Array | None = None  # The first sample after a reset fills the whole observation history.
+        self.memory: dict[int, list[Array]] = {}
 
-    def value(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+    def value(self, readings: Mapping[str, Array], action: Array, steps: int) -> Array:
         """Return the value of an observation term before its modifiers; ``steps`` counts the steps since the reset."""
         spec, kind, time = self.spec, self.spec["function"], F(steps) * F(self.dt)
         if kind == "last_action":
-            return action[self.columns]
+            return np.asarray(action[self.columns])
         if kind == "time":
             return array([time])
         if kind == "remaining_time":
@@ -105,7 +107,7 @@ class Term:
             return array([np.arctan2(-x[1], -x[2]), np.arcsin(np.clip(x[0], -1, 1))])
         return x
 
-    def travelled(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+    def travelled(self, readings: Mapping[str, Array]) -> Array:
         """Return the robot's measured minus commanded distance (m) and heading (rad), clipped to maximum errors."""
         command = readings[self.spec["command"]][[0, 2]]
         total, before = self.memory.get(-1, [np.zeros(2, F), command])
@@ -117,7 +119,7 @@ class Term:
         self.memory[-1] = [total, command]
         return total
 
-    def modified(self, number: int, spec: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
+    def modified(self, number: int, spec: Any, x: Array) -> Array:
         """Apply an observation modifier to ``x``, and store the modifier's state for the next control step."""
         kind = spec["kind"]
         if kind == "scale":
@@ -136,11 +138,11 @@ class Term:
         empty = [np.zeros((*x.shape, len(forward)), F), np.zeros((*x.shape, len(feedback)), F)]
         ins, outs = self.memory.get(number, empty)
         ins = np.concatenate((x[:, None], ins[:, :-1]), axis=1)
-        y = ins @ forward - outs @ feedback
+        y: Array = ins @ forward - outs @ feedback
         self.memory[number] = [ins, np.concatenate((y[:, None], outs), axis=1)[:, : len(feedback)]]
         return y
 
-    def sample(self, readings: Mapping[str, np.ndarray], action: np.ndarray, steps: int) -> np.ndarray:
+    def sample(self, readings: Mapping[str, Array], action: Array, steps: int) -> Array:
         """Return an observation term's part of the observation, including the term's history, as a flat array."""
         x = self.value(readings, action, steps)
         for number, spec in enumerate(self.spec["modifiers"]):
@@ -160,7 +162,7 @@ class Reading:
     a bad value, and ``gap`` the steps since ``last``. ``turns`` (width,) are added to the raw angles of encoders.
     """
 
-    def __init__(self, rule: Mapping[str, Any]) -> None:
+    def __init__(self, rule: Any) -> None:
         self.kind, self.norm = rule["check"], rule.get("norm", ())
         self.low, self.high, self.jump = (array(rule[key], np.inf) for key in ("low", "high", "max_jump"))
         self.low = array(rule["low"], -np.inf)
@@ -168,7 +170,7 @@ class Reading:
         self.held, self.gap = 0, -1  # No good value so far: the gap is negative.
 
     @np.errstate(all="ignore")
-    def accept(self, values: Any, steps: int, stale: bool, hold_steps: int) -> None:
+    def accept(self, values: object, steps: int, stale: bool, hold_steps: int) -> None:
         """Check the values of a control step, ``steps`` after the previous ones; store them unless they are bad."""
         try:
             x: Any = np.array(values, F)
@@ -251,11 +253,11 @@ class Policy:
         self.steps = 0
         self.zero = np.zeros(len(self.default))  # ``zero`` is each wheel's angle at the reset minus its default angle.
         self.action = np.zeros(self.spec["action_width"], F)
-        self.averages: dict[str, np.ndarray] = {}
+        self.averages: dict[str, Array] = {}
         for term in (term for terms in self.groups for term in terms):
             term.reset()
 
-    def step(self, readings: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    def step(self, readings: Mapping[str, npt.ArrayLike]) -> dict[str, Array]:
         """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
         ``readings`` contains the current value of each sensor reading and each command, by name. ``base_quat`` (w, x,
@@ -266,7 +268,7 @@ class Policy:
         self.action = self.network(self.observation)
         return self.act(readings["joint_pos"])
 
-    def observe(self, readings: Mapping[str, Any]) -> np.ndarray:
+    def observe(self, readings: Mapping[str, npt.ArrayLike]) -> Array:
         """Append the sensor readings of one step to the observation histories, and return the network's observation."""
         found = {name: np.asarray(value, F) for name, value in readings.items()}
         if "projected_gravity" not in found and "base_quat" in found:
@@ -290,7 +292,7 @@ class Policy:
                 pieces += [history.ravel() for history in histories]
         return np.concatenate(pieces)
 
-    def network(self, observation: np.ndarray) -> np.ndarray:
+    def network(self, observation: Array) -> Array:
         """Return the action for an observation, clipped as in training; NumPy computes the action in float64."""
         if self.session is not None:
             return self.clipped(self.session.run(None, {"obs": observation[None]})[0][0])
@@ -302,22 +304,22 @@ class Policy:
             x = ACTIVATIONS[name](x)
         return self.clipped(x.astype(F))
 
-    def clipped(self, actions: np.ndarray) -> np.ndarray:
+    def clipped(self, actions: Array) -> Array:
         """Return the policy network's actions, clipped to the limits of the training."""
         bound = self.spec["clip_actions"]
         return actions if bound is None else np.clip(actions, F(-bound), F(bound))
 
-    def act(self, joint_pos: Any) -> dict[str, np.ndarray]:
+    def act(self, joint_pos: npt.ArrayLike) -> dict[str, Array]:
         """Return the joint targets for the last action of the policy, and update the moving averages of the actions."""
         self.steps += 1
         self.processed = [self.process(term, self.counted(joint_pos)) for term in self.spec["actions"]]
         return self.targets(joint_pos)
 
-    def counted(self, joint_pos: Any) -> np.ndarray:
+    def counted(self, joint_pos: npt.ArrayLike) -> Array:
         """Return the joint positions (J,) that the policy observes: angles of wheel joints count from the reset."""
         return (np.asarray(joint_pos, float) - self.zero).astype(F)
 
-    def process(self, term: Mapping[str, Any], joint_pos: np.ndarray) -> np.ndarray:
+    def process(self, term: Any, joint_pos: Array) -> Array:
         """Return the joint targets of one action term of the policy."""
         raw = self.action[term["start"] : term["stop"]]
         kind = term["function"]
@@ -338,7 +340,7 @@ class Policy:
                 self.averages[term["name"]] = x
         return x
 
-    def targets(self, joint_pos: Any) -> dict[str, np.ndarray]:
+    def targets(self, joint_pos: npt.ArrayLike) -> dict[str, Array]:
         """Return the targets of all joints; a relative action is added to the joint's position in ``joint_pos``.
 
         Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
@@ -353,7 +355,7 @@ class Policy:
         found["velocity"] = np.clip(found["velocity"], -self.limit, self.limit)
         return found
 
-    def update(self, readings: Mapping[str, Any], time: float, now: float | None = None) -> dict[str, Any]:
+    def update(self, readings: Mapping[str, npt.ArrayLike], time: float, now: float | None = None) -> dict[str, Any]:
         """Return finite targets within all limits for any readings, as ``step`` does, with ``gain`` and ``status``.
 
         ``time`` (s) is when the readings were taken, and ``now`` (s, by default ``time``) is the current time of the
@@ -428,7 +430,7 @@ class Policy:
         gain = F(1) if lifts else min(self.before["gain"], F(rules["stop"]["gain"]))
         return found | {"gain": self.ramped("gain", gain, seconds)}
 
-    def ramped(self, key: str, goal: Any, seconds: float) -> Any:
+    def ramped(self, key: str, goal: npt.ArrayLike, seconds: float) -> Any:
         """Return an output on its way from the start of the phase to ``goal``, which it reaches after ``seconds``."""
         part = F(min(self.phase_steps, self.count(seconds))) / F(self.count(seconds))
         return self.before[key] + part * (goal - self.before[key])
@@ -442,14 +444,14 @@ class Policy:
 
     def count(self, seconds: float) -> int:
         """Return a duration in control steps, at least 1."""
-        return max(1, round(seconds / self.spec["step_dt"]))
+        return max(1, round(seconds / float(self.spec["step_dt"])))
 
     def below(self, key: str) -> bool:
         """Return whether all readings that have the bound ``key``, ``still`` or ``slow``, are within that bound."""
         bounds = self.safety["readings"].items()
         return all(np.abs(self.readings[n].last).max() <= F(r[key]) for n, r in bounds if r[key] is not None)
 
-    def turned(self) -> np.ndarray:
+    def turned(self) -> Array:
         """Return the angles (J,) that were added to the raw angles of the encoders."""
         return TURN * self.readings["joint_pos"].turns
 
@@ -474,7 +476,7 @@ class Log:
     def __init__(self, path: str | Path, policy: Policy) -> None:
         self.path, self.policy, self.fields = Path(path), policy, dict[str, list[str]]()
 
-    def write(self, time: float, readings: Mapping[str, Any], targets: Mapping[str, Any]) -> None:
+    def write(self, time: float, readings: Mapping[str, npt.ArrayLike], targets: Mapping[str, Any]) -> None:
         """Append the readings of time ``time`` (s), and what ``Policy.update`` returned for them."""
         joints, row = self.policy.spec["joint_names"], [f"{time:.6f}"]
         with self.path.open("a" if self.fields else "w", newline="", encoding="utf-8") as file:
@@ -531,7 +533,7 @@ def check(folder: str | Path = Path(__file__).parent, onnx: bool = False) -> dic
     return worst
 
 
-def largest_difference(found: Any, wanted: np.ndarray) -> float:
+def largest_difference(found: Array | float, wanted: Array) -> float:
     """Return the largest value of |found - wanted| / max(1, |wanted|) for two arrays."""
     return float(np.max(np.abs(found - wanted) / np.maximum(1.0, np.abs(wanted)), initial=0.0))
 

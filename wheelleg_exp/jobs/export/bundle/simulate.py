@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ class Robot:
     ``scene`` is an MJCF file with ground, robot, and actuators; each actuator has the name of its joint.
     """
 
-    def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
+    def __init__(self, spec: Any, scene: Path = HERE / "robot" / "scene.xml") -> None:
         self.spec = spec
         self.model = mujoco.MjModel.from_xml_path(str(scene))
         self.model.opt.timestep = spec["physics_dt"]  # MuJoCo's XML file stores only six digits of the physics step.
@@ -62,7 +62,7 @@ class Robot:
         self.data.qvel[self.qvel] = self.spec["default_joint_vel"]
         mujoco.mj_forward(self.model, self.data)
 
-    def readings(self, commands: Mapping[str, Any]) -> dict[str, Any]:
+    def readings(self, commands: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the values of the sensor readings and commands that the policy needs, by name."""
         data, effort = self.data, np.zeros(len(self.qpos))
         for drive, actuators in self.drives:
@@ -116,14 +116,14 @@ class Robot:
                 torque = np.clip(torque, low, high)
             self.data.ctrl[actuators] = torque
 
-    def approached(self, name: str, asked: Any) -> np.ndarray:
+    def approached(self, name: str, asked: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the next command on the way to ``asked``, within the acceleration limits of the training."""
         now = self.commands.setdefault(name, np.zeros(len(asked)))
         most = array(self.spec["command_accelerations"].get(name, [None] * len(asked)), np.inf) * self.spec["step_dt"]
         now += np.clip(np.asarray(asked) - now, -most, most)
         return now
 
-    def step(self, policy: Policy, commands: Mapping[str, Any]) -> None:
+    def step(self, policy: Policy, commands: Mapping[str, Sequence[float] | np.ndarray]) -> None:
         """Advance by one control step."""
         targets = policy.step(self.readings({name: self.approached(name, asked) for name, asked in commands.items()}))
         for _ in range(self.spec["decimation"]):
@@ -140,7 +140,7 @@ class Robot:
 class HungRobot(Robot):
     """The simulated robot with an immovable base, one metre above the ground, and drives that run at 1 kHz."""
 
-    def __init__(self, spec: Mapping[str, Any], scene: Path = HERE / "robot" / "scene.xml") -> None:
+    def __init__(self, spec: Any, scene: Path = HERE / "robot" / "scene.xml") -> None:
         x, y, z = spec["root"]["pos"]
         super().__init__({**spec, "root": {**spec["root"], "pos": [x, y, z + 1.0]}}, scene)
         self.model.body_mass[self.root.id] *= HEAVY
@@ -175,7 +175,7 @@ class HungRobot(Robot):
         self.data.qpos[:7], self.data.qvel[:6] = [*self.spec["root"]["pos"], *self.spec["root"]["quat"]], 0.0
 
 
-def outside(ranges: Mapping[str, Any], command: Any) -> list[str]:
+def outside(ranges: Mapping[str, Sequence[float]], command: Sequence[float] | np.ndarray) -> list[str]:
     """Return a warning for each component of a command that is outside the command range of the training."""
     if len(ranges) != len(command) or any(len(pair) != 2 for pair in ranges.values()):
         return []
