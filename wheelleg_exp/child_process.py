@@ -298,7 +298,7 @@ class Worker:
     child process writes its standard error to the empty file ``errors``.
     """
 
-    def __init__(self, module: str, order: Any, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
+    def __init__(self, module: str, order: object, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
         self._errors = errors
         self._process = subprocess.Popen(
             [sys.executable, "-m", module],
@@ -314,7 +314,7 @@ class Worker:
             self._send(order)
             self.is_ready = self._stdout.read(len(_READY)) == _READY
 
-    def ask(self, request: Any, count: int) -> bytes:
+    def ask(self, request: object, count: int) -> bytes:
         """Return the next ``count`` bytes of a worker's answer, or fewer bytes if the worker process died."""
         with contextlib.suppress(OSError):
             self._send(request)
@@ -338,7 +338,7 @@ class Worker:
             self._process.kill()
             self._process.wait()
 
-    def _send(self, value: Any) -> None:
+    def _send(self, value: object) -> None:
         pickle.dump(value, self._stdin)
         self._stdin.flush()
 

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, TypeVar
+
+_V = TypeVar("_V")
 
 
-class Constraint:
+class Constraint(Generic[_V]):
     """A requirement, in the type annotation of a parameter, that the parameter's value must satisfy.
 
     Error messages show ``form``, such as ``[low, high]``, instead of the expected type's name. Error messages show
@@ -34,13 +36,13 @@ class Constraint:
         """Return the constraint's text for an error message, such as ``at least 0`` in ``a number, at least 0``."""
         return self.text
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: _V) -> bool:
         """Return whether a value of the annotated type satisfies this constraint."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class _Compared(Constraint):
+class _Compared(Constraint[float]):
     bound: float
     compare: ClassVar[Callable[[Any, Any], Any]]
 
@@ -48,7 +50,7 @@ class _Compared(Constraint):
         bound = self.bound
         return f"{self.text} {bound if isinstance(bound, int) else format(bound, 'g')}"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: float) -> bool:
         return bool(type(self).compare(value, self.bound))
 
 
@@ -70,48 +72,48 @@ class AtMost(_Compared):
     text, compare = "at most", operator.le
 
 
-class MayBeInfinite(Constraint):
+class MayBeInfinite(Constraint[object]):
     """Allows infinite numbers."""
 
-    def holds(self, value: Any) -> bool:  # noqa: ARG002
+    def holds(self, value: object) -> bool:  # noqa: ARG002
         return True
 
 
-class Length(Constraint):
+class Length(Constraint[Sized]):
     """A list of ``count`` numbers."""
 
     def __init__(self, count: int) -> None:
         self.count = count
         self.form = f"{count} finite numbers"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: Sized) -> bool:
         return len(value) == self.count
 
 
-class NotEmpty(Constraint):
+class NotEmpty(Constraint[Sized]):
     """The constraint that a value is a list, mapping or text with at least one element."""
 
     text = "not empty"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: Sized) -> bool:
         return len(value) > 0
 
 
-class NotAllZero(Constraint):
+class NotAllZero(Constraint[Sequence[float]]):
     """The constraint that a value is a list of numbers, at least one of which is not 0."""
 
     text = "not all zero"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: Sequence[float]) -> bool:
         return any(value)
 
 
-class Ordered(Constraint):
+class Ordered(Constraint[Sequence[float]]):
     """A range: two numbers, the second not below the first."""
 
     form = "[low, high]"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: Sequence[float]) -> bool:
         return len(value) == 2 and bool(value[0] <= value[1])
 
 
@@ -120,37 +122,37 @@ class Rising(Ordered):
 
     text = "low below high"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: Sequence[float]) -> bool:
         return len(value) == 2 and bool(value[0] < value[1])
 
 
-class OfNodes(Constraint):
+class OfNodes(Constraint[object]):
     """A mapping whose values are checked by the code that builds them, because the value's ``_target_`` defines it."""
 
     form = "a mapping"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: object) -> bool:
         return isinstance(value, Mapping)
 
 
-class Targeted(Constraint):
+class Targeted(Constraint[object]):
     """A mapping with a ``_target_``."""
 
     form = "a mapping with a _target_"
     broken = "there is no _target_, which names the class to build"
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: object) -> bool:
         return isinstance(value, Mapping) and "_target_" in value
 
 
 @dataclass(frozen=True)
-class Pattern(Constraint):
+class Pattern(Constraint[str]):
     """The constraint that a whole text matches a regular expression; ``form`` describes valid texts for the user."""
 
     expression: str
     form: str
 
-    def holds(self, value: Any) -> bool:
+    def holds(self, value: str) -> bool:
         return re.fullmatch(self.expression, value) is not None
 
 
@@ -198,6 +200,6 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
     return attach
 
 
-def rules_of(target: Callable[..., Any]) -> Sequence[Rule]:
+def rules_of(target: Callable[..., object]) -> Sequence[Rule]:
     """Return the parameter rules that the decorator ``relation`` attached to a function, class, or base class."""
     return getattr(target, _RULES, ())

@@ -142,7 +142,9 @@ def nearest_name(name: str, names: Iterable[str]) -> str | None:
     return found[0] if found else None
 
 
-def not_one_of(message: str, name: Any, names: Iterable[Any], *, key: str, where: str | None = None) -> ConfigError:
+def not_one_of(
+    message: str, name: object, names: Iterable[object], *, key: str, where: str | None = None
+) -> ConfigError:
     """Return the error for an unknown name, which lists the valid names and suggests the most similar one."""
     known = [str(valid) for valid in names]
     expected, nearest = "one of " + ", ".join(known), nearest_name(str(name), known)

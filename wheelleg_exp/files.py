@@ -93,7 +93,7 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: object) -> None:
     """Write ``value`` as indented JSON atomically.
 
     Keys keep their order. Arrays, tensors and numpy scalars in ``value`` are written as lists and numbers, and paths as
@@ -102,12 +102,12 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, dump_json(value))
 
 
-def write_yaml(path: Path, value: Any) -> None:
+def write_yaml(path: Path, value: object) -> None:
     """Write a plain value atomically as YAML from which ``yaml.safe_load`` restores an equal value."""
     write_text(path, dump_yaml(value))
 
 
-def dump_json(value: Any) -> str:
+def dump_json(value: object) -> str:
     """Return ``value`` as the JSON text that ``write_json`` writes."""
     plain = json_plain(value)
     text = json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -118,7 +118,7 @@ def dump_json(value: Any) -> str:
     return text
 
 
-def json_plain(value: Any) -> Any:
+def json_plain(value: object) -> Any:
     """Convert ``value`` to nested mappings and lists of text, finite numbers, booleans and None."""
     if value is None or isinstance(value, (bool, str)):
         return value

@@ -122,7 +122,7 @@ def read_project(folder: Path) -> Project | None:
     return Project(folder, tuple(sorted(_package(value, file) for value in declared.values())))
 
 
-def _package(value: Any, file: Path) -> str:
+def _package(value: object, file: Path) -> str:
     name = value.split(":")[0].strip() if isinstance(value, str) else ""
     parts = name.split(".")
     taken = parts[0] in sys.stdlib_module_names or parts[0] == "wheelleg_exp"
@@ -307,7 +307,7 @@ def make_importable(target: str) -> None:
         sys.meta_path.insert(0, _finder)
 
 
-def make_classes_importable(node: Any) -> None:
+def make_classes_importable(node: object) -> None:
     """Call ``make_importable`` for every ``class_name`` in an agent config; rsl_rl imports the classes."""
     if isinstance(node, Mapping):
         for key, value in node.items():
@@ -324,7 +324,9 @@ class _Finder(MetaPathFinder):
     def __init__(self) -> None:
         self.sources: dict[str, Path] = {}
 
-    def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> ModuleSpec | None:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         source = self.sources.get(fullname) if path is None else None
         return PathFinder.find_spec(fullname, [str(source)], target) if source is not None else None
 

@@ -144,7 +144,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON document and nothing else")
 
 
-def print_json(document: Any) -> None:
+def print_json(document: object) -> None:
     """Print one JSON document."""
     text = dump_json(document)
     # Write control characters as JSON escapes, because the output stream's own escapes are not valid JSON.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from wheelleg_exp.cli.arguments import UsageError, add_config_dir, add_json, offer, print_json
 from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, screen_width, table_width
@@ -32,7 +32,7 @@ class Listed(NamedTuple):
     """One list of the command: its table, its ``--json`` documents, and the text that replaces an empty table."""
 
     columns: list[str]
-    rows: list[list[Any]]
+    rows: list[list[object]]
     documents: list[dict[str, object]]
     no_rows: str = ""
 
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> object:
     """Return a value as a cell: a dash for None, a path relative to the current folder, a list without brackets."""
     if isinstance(value, Path) and value.is_relative_to(Path.cwd()):
         return value.relative_to(Path.cwd())
@@ -105,7 +105,7 @@ def _cell(value: Any) -> Any:
     return "-" if value is None else value
 
 
-def _table(columns: list[str], rows: list[list[Any]]) -> Listed:
+def _table(columns: list[str], rows: list[list[object]]) -> Listed:
     return Listed(columns, rows, [dict(zip(columns, row, strict=True)) for row in rows])
 
 
@@ -137,7 +137,7 @@ def _terms(args: argparse.Namespace) -> Listed:
     group = args.group if section is None else section.removesuffix("s")
     known = catalog.groups(args.config_dirs)
     stock = catalog.terms(group, args.config_dirs) if section is None or group in known else []
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     for entry in stock:
         try:
             takes = signature_of(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
@@ -150,7 +150,7 @@ def _terms(args: argparse.Namespace) -> Listed:
             name = term.target.rsplit(".", 1)[-1]
             rows.append([term.section.removesuffix("s"), name, term.help, term.target, term.signature, None])
     order = {name.removesuffix("s"): index for index, name in enumerate(MODULES.values())}
-    rows.sort(key=lambda row: order.get(row[0], len(order)))
+    rows.sort(key=lambda row: order.get(str(row[0]), len(order)))
     return _table(["group", "term", "help", "target", "takes", "file"], rows)
 
 
@@ -160,7 +160,7 @@ def _pipelines(args: argparse.Namespace) -> Listed:
     from wheelleg_exp.run.run_index import pipelines_below
     from wheelleg_exp.terms.key_syntax import PIPELINE
 
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     for entry in catalog.options(PIPELINE, args.config_dirs):
         try:
             phases = ", ".join(compose_pipeline([f"{PIPELINE}={entry.name}"], args.config_dirs).phases)
@@ -225,7 +225,7 @@ def _short(keys: Sequence[str]) -> list[str]:
 
 
 def _sweeps(args: argparse.Namespace) -> Listed:
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     found = run_list.list_sweeps(_runs_folder(args.root))
     for sweep in found:
         jobs = ", ".join(f"{count} {status}" for status, count in sweep.jobs.items())
@@ -251,7 +251,7 @@ def _runs_folder(root: Path | None) -> Path:
     raise WheellegError(message, key=str(root), where="--root", expected=expected, nearest=nearest)
 
 
-def _run_row(run: RunSummary) -> list[Any]:
+def _run_row(run: RunSummary) -> list[object]:
     done = None if run.iterations is None and run.max_iterations is None else f"{run.iterations or 0}"
     total = "" if run.max_iterations is None else f"/{run.max_iterations}"
     reward = run.figures.get("return")
@@ -269,7 +269,7 @@ def _run_row(run: RunSummary) -> list[Any]:
     ]
 
 
-def _percent(value: Any) -> str | None:
+def _percent(value: object) -> str | None:
     return percent(value) if isinstance(value, (int, float)) else None
 
 

@@ -81,7 +81,7 @@ def _tree(joints: Sequence[str], pose: Sequence[float], step: Sequence[float], a
     }
 
 
-def _by_joint(joints: Sequence[str], values: Sequence[Any]) -> Tree:
+def _by_joint(joints: Sequence[str], values: Sequence[object]) -> Tree:
     return dict(zip(joints, values, strict=True))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from wheelleg_exp.asset.robot_description import Dof
@@ -317,16 +317,16 @@ class EnvMapping:
             expected = f"the robot of the run, or --names FILE; the file has {', '.join(self._dofs)}"
             raise ConfigError(message, key="scene.robot", expected=expected)
 
-    def _from_file(self, key: str, name: str, joints: list[str]) -> Any:
+    def _from_file(self, key: str, name: str, joints: list[str]) -> float | Tree:
         """Return a gain or limit from the robot's file, as Isaac Lab does for null."""
         found = {joint: _file_value(self._dofs[joint], name) for joint in joints}
-        value: Any = {re.escape(joint): number for joint, number in found.items()}
+        value: float | Tree = {re.escape(joint): number for joint, number in found.items()}
         if len(set(found.values())) <= 1:
             value = next(iter(found.values()), 0.0)
         self._report.add(f"{key}.{name}", ASSUMED, f"{shown(value)}, from the robot's file")
         return value
 
-    def _quaternion(self, value: Any, key: str) -> list[float]:
+    def _quaternion(self, value: Sequence[float] | None, key: str) -> list[float]:
         if value is None:
             return [1.0, 0.0, 0.0, 0.0]
         if self._xyzw:
@@ -437,7 +437,7 @@ class EnvMapping:
         pose = {"pos": offset.take("pos", [0.0, 0.0, 0.0]), "rot": self._quaternion(offset.take("rot"), offset.key)}
         return {"_target_": f"wheelleg_exp.sim.sensors.{kind}", "body_name": body, "offset": pose}
 
-    def _bodies(self, prim_path: Any) -> list[str]:
+    def _bodies(self, prim_path: object) -> list[str]:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
         if str(prim_path).startswith("/World/ground"):
             return ["ground"]
@@ -450,7 +450,7 @@ def is_version_3(tree: Tree) -> bool:
     return "physx" not in (tree.get("sim") or {"physx": None})
 
 
-def _spawn(node: Any) -> Mapping[str, object]:
+def _spawn(node: object) -> Mapping[str, object]:
     return node.get("spawn") or {} if isinstance(node, Mapping) else {}
 
 
@@ -480,7 +480,7 @@ class _Names:
                 expected = "a name that matches one of " + ", ".join(known)
                 raise ConfigError(message, key="--names", expected=expected, nearest=nearest_name(old, known))
 
-    def applied(self, value: Any, kind: str = "") -> Any:
+    def applied(self, value: object, kind: str = "") -> object:
         """Return ``value`` with new names; ``kind`` is ``joint`` or ``link`` if the value contains such names."""
         if not self._table:
             return value
@@ -513,7 +513,7 @@ class _Names:
         return [*found, expression] if matches or not found else found
 
 
-def _kind_of_names(key: Any, parent: str) -> str:
+def _kind_of_names(key: object, parent: str) -> str:
     """Return which names the value of a key contains: ``joint``, ``link``, or those of the ``parent`` mapping."""
     if "bod" in str(key):
         return "link"
@@ -532,7 +532,7 @@ def _file_value(dof: Dof, name: str) -> float:
     return min(limits, default=math.inf)
 
 
-def _smaller(key: str, limit: Any, of_engine: Any, joints: list[str]) -> dict[str, float]:
+def _smaller(key: str, limit: float | Tree, of_engine: float | Tree, joints: list[str]) -> dict[str, float]:
     """Return the smaller of an explicit actuator's own limit and the engine's, which clips its torques."""
     found = {}
     own = values_by_name(limit, joints, None, key=f"{key}.effort_limit", what="joint")
@@ -544,12 +544,13 @@ def _smaller(key: str, limit: Any, of_engine: Any, joints: list[str]) -> dict[st
     return found
 
 
-def _per_joint(value: Any, key: str) -> Any:
+def _per_joint(value: object, key: str) -> float | Tree:
     """Return numbers by joint expression as floats, or one number unchanged."""
-    numbers = list(value.values()) if isinstance(value, Mapping) else [value]
-    if not all(isinstance(number, (int, float)) for number in numbers):
+    if isinstance(value, (int, float)):
+        return value
+    if not isinstance(value, Mapping) or not all(isinstance(number, (int, float)) for number in value.values()):
         raise ConfigError(f"{shown(value)} is not a number", key=key, expected="a number, or one by joint expression")
-    return {str(name): float(number) for name, number in value.items()} if isinstance(value, Mapping) else value
+    return {str(name): float(number) for name, number in value.items()}
 
 
 def _matching(expressions: Iterable[str], names: Collection[str]) -> list[str]:
@@ -557,7 +558,7 @@ def _matching(expressions: Iterable[str], names: Collection[str]) -> list[str]:
     return [name for name in names if any(pattern.fullmatch(name) for pattern in known)]
 
 
-def _listed(expressions: Any) -> list[str]:
+def _listed(expressions: str | Iterable[str]) -> list[str]:
     return [expressions] if isinstance(expressions, str) else list(expressions)
 
 

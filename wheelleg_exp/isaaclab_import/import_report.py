@@ -70,7 +70,7 @@ class ImportReport:
 class Section:
     """A mapping of the imported config whose keys are taken one by one; ``finish`` reports the keys in ``left``."""
 
-    def __init__(self, tree: Any, key: str, report: ImportReport) -> None:
+    def __init__(self, tree: object, key: str, report: ImportReport) -> None:
         if tree is not None and not isinstance(tree, Mapping):
             raise ConfigError(f"{shown(tree)} is not a mapping", key=key, expected="the mapping that Isaac Lab writes")
         self.left: Tree = dict(tree or {})
@@ -124,7 +124,7 @@ class Section:
         return f"{self.key}.{name}" if self.key else name
 
 
-def shown(value: Any, width: int = 60) -> str:
+def shown(value: object, width: int = 60) -> str:
     """Return a value as short text."""
     text = " ".join(str(value).split())
     return text if len(text) <= width else f"{text[: width - 1]}…"

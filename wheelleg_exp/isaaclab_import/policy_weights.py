@@ -11,7 +11,7 @@ import math
 import pickle
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -138,7 +138,7 @@ def _tensors(path: Path) -> PolicyWeights:
 class _Module:
     """A module of a TorchScript file: only its attributes are read, and its code is not."""
 
-    def parts(self) -> Iterator[tuple[str, Any]]:
+    def parts(self) -> Iterator[tuple[str, object]]:
         """Yield the names and values of all attributes, also of inner modules; of a shared inner module only once."""
         waiting, seen = [("", self)], {id(self)}
         while waiting:
@@ -157,7 +157,7 @@ class _TensorsOnly(pickle._Unpickler):  # pickle.Unpickler allocates as much mem
         super().__init__(io.BytesIO(archive.read(f"{root}/data.pkl")))
         self._archive, self._root = archive, root
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(self, module: str, name: str) -> object:
         """Return a harmless substitute for a class or function of the file, or refuse it."""
         if module.startswith("__torch__"):
             return type(name, (_Module,), {})
@@ -168,13 +168,13 @@ class _TensorsOnly(pickle._Unpickler):  # pickle.Unpickler allocates as much mem
             raise pickle.UnpicklingError(f"the file contains the object {module}.{name}")
         return known[name]
 
-    def persistent_load(self, pid: Any) -> torch.Tensor:
+    def persistent_load(self, pid: tuple[str, torch.dtype, str]) -> torch.Tensor:
         """Return the numbers that belong to a tensor."""
         data = self._archive.read(f"{self._root}/data/{pid[2]}")
         return torch.frombuffer(bytearray(data), dtype=pid[1]) if data else torch.empty(0, dtype=pid[1])
 
 
-def _tensor(storage: torch.Tensor, offset: int, size: Any, stride: Any, *_: Any) -> torch.Tensor:
+def _tensor(storage: torch.Tensor, offset: int, size: Sequence[int], stride: Sequence[int], *_: object) -> torch.Tensor:
     if math.prod(size) > storage.numel():
         raise pickle.UnpicklingError("the file contains a tensor that repeats fewer stored numbers")
     return storage.as_strided(tuple(size), tuple(stride), offset)

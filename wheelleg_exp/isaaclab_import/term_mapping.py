@@ -151,11 +151,11 @@ class TermMapping:
             return f"{module.__name__}.{name}"
         return self._user_target(source, params)
 
-    def _value(self, key: str, value: Any) -> Any:
+    def _value(self, key: str, value: object) -> object:
         """Return a parameter, in which the nodes of entities, noises, and modifiers have targets of this package."""
         if isinstance(value, list) and key == "modifiers":
             return [_modifier(item) for item in value]
-        if not isinstance(value, Mapping):
+        if not isinstance(value, dict):
             return value
         if value.keys() >= {"name", "joint_names", "body_names"}:
             return self._entity(key, value)
@@ -166,7 +166,7 @@ class TermMapping:
         settings = {name: self._value(name, item) for name, item in value.items() if name not in ("func", "class_type")}
         return {"_target_": f"wheelleg_exp.mdp.noise.{kind}", **settings}
 
-    def _entity(self, key: str, value: Mapping[str, Any]) -> Tree:
+    def _entity(self, key: str, value: Tree) -> Tree:
         """Return the node of joints or bodies of an entity, which the run chooses by names or by numbers."""
         ordered = value.get("preserve_order")
         chosen: Tree = {}
@@ -189,14 +189,14 @@ def _module(kind: str) -> ModuleType:
     return import_module(f"wheelleg_exp.mdp.{kind.removesuffix('s')}s")
 
 
-def _modifier(node: Mapping[str, Any]) -> Tree:
+def _modifier(node: Tree) -> Tree:
     kind = last_name(node.get("func"))
     settings = {name: setting for name, setting in node.items() if name not in ("func", "params")}
     settings |= node.get("params") or {}
     return {"_target_": f"wheelleg_exp.mdp.modifiers.{MODIFIERS.get(kind, kind)}", **settings}
 
 
-def _one_expression(names: Any) -> Any:
+def _one_expression(names: object) -> object:
     """Return several expressions as one, because their order has no effect."""
     return ["|".join(names)] if isinstance(names, list) and len(names) > 1 else names
 
@@ -206,7 +206,7 @@ def _remove(node: Tree, *keys: str) -> None:
         node.pop(key, None)
 
 
-def last_name(path: Any) -> str:
+def last_name(path: object) -> str:
     """Return the name after the module of a path such as ``isaaclab.envs.mdp.rewards:is_alive``."""
     return re.split(r"[.:]", str(path or ""))[-1]
 

@@ -106,13 +106,13 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
 
 
-def constraints_of(annotation: Any) -> list[Constraint]:
+def constraints_of(annotation: Any) -> list[Constraint[Any]]:
     """Return the constraints of a type annotation, without the constraints of its element types or union options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
-def constraints_in(annotation: Any) -> list[Constraint]:
+def constraints_in(annotation: Any) -> list[Constraint[Any]]:
     """Return all constraints in a type annotation, also those of list elements and union members."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
@@ -132,7 +132,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 }
 
 
-def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint]) -> list[Misfit]:
+def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint[Any]]) -> list[Misfit]:
     is_infinite = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     has_nodes = any(isinstance(c, OfNodes) for c in constraints) and isinstance(value, Mapping)
     found = [] if is_infinite or has_nodes else misfits(value, inner)

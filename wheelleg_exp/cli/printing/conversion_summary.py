@@ -8,7 +8,7 @@ import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown
 from wheelleg_exp.definitions import percent
@@ -145,7 +145,7 @@ def _joints(conversion: Conversion) -> Iterator[tuple[str, ...]]:
         )
 
 
-def _shortly(value: Any) -> str:
+def _shortly(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
 
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 from wheelleg_exp.errors import printable
 
@@ -26,7 +26,7 @@ class LastingStream:
     stream writes ANSI colour codes unchanged; a plain stream writes control characters as readable text.
     """
 
-    def __init__(self, stream: Any, *losses: type[OSError], styled: bool = False) -> None:
+    def __init__(self, stream: TextIO, *losses: type[OSError], styled: bool = False) -> None:
         self._stream, self._losses, self._styled = stream, losses, styled
 
     def styled(self) -> LastingStream:
@@ -64,9 +64,9 @@ class LastingStream:
         return getattr(self._stream, name)
 
 
-def styled(stream: Any) -> Any:
+def styled(stream: TextIO) -> TextIO:
     """Return a variant of standard output or standard error that writes ANSI colour codes unchanged."""
-    return stream.styled() if isinstance(stream, LastingStream) else stream
+    return cast("TextIO", stream.styled()) if isinstance(stream, LastingStream) else stream
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 import yaml
 
@@ -105,12 +105,17 @@ class _Place:
         pairs = node.value if isinstance(node, yaml.MappingNode) else []
         self._lines = {key.value: key.start_mark.line + 1 for key, _ in pairs}
 
-    def of(self, key: Any = None) -> str:
+    def of(self, key: str | int | None = None) -> str:
         return f"{self._path}:{self._lines.get(key, self._line)}"
 
 
 def _entry(
-    item: Mapping[Any, Any], place: _Place, axes: Mapping[str, Axis], actions: Sequence[str], before: float, end: float
+    item: Mapping[str, object],
+    place: _Place,
+    axes: Mapping[str, Axis],
+    actions: Sequence[str],
+    before: float,
+    end: float,
 ) -> tuple[Entry, float]:
     """Parse one entry of a drive script; return the entry and the simulated time (s) at which it ends."""
     for key in item:
@@ -130,14 +135,14 @@ def _entry(
     return entry, at + _seconds(item, "for", place, default=0.0)
 
 
-def _seconds(item: Mapping[Any, Any], key: str, place: _Place, *, default: float) -> float:
+def _seconds(item: Mapping[str, object], key: str, place: _Place, *, default: float) -> float:
     value = item.get(key, default)
     if not _is_number(value) or value < 0.0:
         raise ConfigError(f"invalid time in seconds: {value!r}", key=key, where=place.of(key), expected="at least 0")
     return float(value)
 
 
-def _value(axis: Axis, value: Any, place: _Place) -> float:
+def _value(axis: Axis, value: object, place: _Place) -> float:
     expected = f"a number from {axis.low:g} to {axis.high:g} ({axis.key})"
     if not _is_number(value):
         raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
@@ -147,7 +152,7 @@ def _value(axis: Axis, value: Any, place: _Place) -> float:
     return float(value)
 
 
-def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
+def _requests(item: Mapping[str, object], place: _Place) -> Iterator[Request]:
     if _flag(item, "reset", place):
         yield Reset()
     if _flag(item, "jump", place):
@@ -155,20 +160,21 @@ def _requests(item: Mapping[Any, Any], place: _Place) -> Iterator[Request]:
     if "push" in item:
         push = item["push"]
         parts = push if isinstance(push, list) and len(push) == 2 else [push]
-        if not all(map(_is_number, parts)):
+        speeds = [part for part in parts if _is_number(part)]
+        if len(speeds) != len(parts):
             expected = "m/s forwards, or [forwards, to the left]"
             raise ConfigError(f"{push!r} is not a speed in m/s", key="push", where=place.of("push"), expected=expected)
-        yield Push(*map(float, parts))
+        yield Push(*map(float, speeds))
 
 
-def _flag(item: Mapping[Any, Any], key: str, place: _Place) -> bool:
+def _flag(item: Mapping[str, object], key: str, place: _Place) -> bool:
     value = item.get(key, False)
     if not isinstance(value, bool):
         raise ConfigError(f"the value {value!r} is not true or false", key=key, where=place.of(key), expected="true")
     return value
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 

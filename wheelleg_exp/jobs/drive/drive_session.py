@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -138,7 +139,7 @@ class DriveSession:
     """
 
     def __init__(
-        self, adapter: RslRlVecEnv, policy: Callable[[Any], torch.Tensor], start: RobotState | None = None
+        self, adapter: RslRlVecEnv, policy: Callable[[TensorDict], torch.Tensor], start: RobotState | None = None
     ) -> None:
         if adapter.num_envs != 1:
             raise ConfigError(f"a user can drive one robot, not {adapter.num_envs}", key="env.num_envs", expected="1")

@@ -20,7 +20,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
-from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish
+from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish, Request
 from wheelleg_exp.jobs.drive.drive_page import DrivePage
 from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
@@ -58,7 +58,7 @@ def policies(run: RunDirectory, root: Path) -> dict[str, RunDirectory]:
     return {names.get(run.path, run.id): run} | same
 
 
-def _robot(run: RunDirectory) -> tuple[bytes, Any]:
+def _robot(run: RunDirectory) -> tuple[bytes, object]:
     return saved_mjcf(run).read_bytes(), load_params(run)[0]["robot"]["actuators"]
 
 
@@ -294,7 +294,7 @@ class _Driver:
             self._keep_time()
         return None
 
-    def _requests(self) -> list[Any]:
+    def _requests(self) -> list[Request]:
         if self._hand is not None and not self._controls.paused and self._session.fallen is None:
             self._hand.before(self._session.steps)
         return self._controls.take()

@@ -11,11 +11,11 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from onnx.reference import ReferenceEvaluator
+from tensordict import TensorDict
 
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.jobs.export.bundle import runner
@@ -31,8 +31,8 @@ READING = "reading:"
 @torch.inference_mode()
 def recorded_episodes(
     adapter: RslRlVecEnv,
-    policy: Callable[[Any], torch.Tensor],
-    trained: Callable[[Any], torch.Tensor],
+    policy: Callable[[TensorDict], torch.Tensor],
+    trained: Callable[[TensorDict], torch.Tensor],
     groups: Sequence[str],
     names: Sequence[str],
     clip_actions: float | None,

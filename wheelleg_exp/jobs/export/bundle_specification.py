@@ -38,6 +38,7 @@ from wheelleg_exp.jobs.export.policy_json import (
 from wheelleg_exp.jobs.export.policy_json import Imu as ImuPose
 from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
+from wheelleg_exp.sim.actuators.actuator_base import ActuatorBase
 from wheelleg_exp.sim.sensors import Imu
 
 _DRIVE_LAWS: dict[type, str] = {actuators.ImplicitActuator: "implicit", actuators.DCMotor: "dc_motor"}
@@ -79,7 +80,7 @@ def _numbers(values: torch.Tensor) -> Limits:
     return [finite(value) for value in values[0].tolist()]
 
 
-def drive_law(group: actuators.ActuatorBase) -> str | None:
+def drive_law(group: ActuatorBase) -> str | None:
     """Return an actuator group's control law, such as ``pd``; None if the export does not support this group."""
     return _DRIVE_LAWS.get(type(group))
 
@@ -154,18 +155,18 @@ def action_specs(env: ManagerBasedRLEnv) -> list[ActionTerm]:
     return found
 
 
-def _clip(term: Any) -> list[Limits] | None:
+def _clip(term: actions.JointTerm) -> list[Limits] | None:
     """Return the lower and upper bound to which each joint's target is clipped; null means no bound."""
-    if term._low is None:
+    if term._low is None or term._high is None:
         return None
     return [[finite(low), finite(high)] for low, high in zip(term._low.tolist(), term._high.tolist(), strict=True)]
 
 
-def _affine(term: Any, function: str = "affine") -> ActionLaw:
+def _affine(term: actions.JointAction, function: str = "affine") -> ActionLaw:
     return {"function": function, "scale": term._scale.tolist(), "offset": term._offset[0].tolist()}
 
 
-def _to_limits(term: Any) -> ActionLaw:
+def _to_limits(term: actions.JointPositionToLimitsAction) -> ActionLaw:
     low, high = term._limits()
     return {
         "function": "to_limits",
@@ -177,13 +178,13 @@ def _to_limits(term: Any) -> ActionLaw:
     }
 
 
-def _binary(term: Any) -> ActionLaw:
-    absolute = isinstance(term, actions.AbsBinaryJointPositionAction)
+def _binary(term: actions.BinaryJointAction) -> ActionLaw:
+    absolute = term if isinstance(term, actions.AbsBinaryJointPositionAction) else None
     return {
         "function": "binary",
-        "threshold": term._threshold if absolute else 0.0,
-        "strict": term._positive if absolute else False,
-        "opens_above": term._positive if absolute else True,
+        "threshold": absolute._threshold if absolute else 0.0,
+        "strict": absolute._positive if absolute else False,
+        "opens_above": absolute._positive if absolute else True,
         "open": term._open.tolist(),
         "close": term._close.tolist(),
     }

@@ -9,6 +9,7 @@ from typing import Any, TypedDict, cast
 
 import torch
 
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.export.policy_json import Modifier, ObservationGroup, ObservationTerm, TermValue
@@ -130,7 +131,7 @@ def _term(env: ManagerBasedRLEnv, node: Mapping[str, Any], term: observation_ter
     }
 
 
-def _modifier(node: Mapping[str, Any], part: object, path: str) -> Modifier:
+def _modifier(node: Node, part: object, path: str) -> Modifier:
     kinds: dict[type[object], str] = {modifiers.Scale: "scale", modifiers.Bias: "bias", modifiers.Clip: "clip"}
     kinds |= {modifiers.DigitalFilter: "filter", modifiers.Integrator: "integrator"}
     if type(part) not in kinds:

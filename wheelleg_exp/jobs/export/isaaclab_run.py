@@ -7,7 +7,7 @@ import of Isaac Lab's runs reads the tables of this module, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +150,7 @@ class IsaacLabEnv:
             convert = self._group if kind == "observations" else self._term
             self.tree[kind] = self._each(convert, env.get(kind) or {}, kind)
 
-    def _each(self, convert: Any, nodes: Tree, key: str) -> Tree:
+    def _each(self, convert: Callable[[str, Tree], object], nodes: Tree, key: str) -> Tree:
         """Convert each node that is not null, and return those that Isaac Lab has."""
         made = {name: convert(f"{key}.{name}", node) for name, node in nodes.items() if node is not None}
         return {name: node for name, node in made.items() if node is not None}

@@ -106,7 +106,7 @@ def _difference(policy: Any, spec: PolicyJson, recorded: Mapping[str, np.ndarray
     return worst
 
 
-def _row(values: Any, missing: float = 0.0) -> torch.Tensor:
+def _row(values: Iterable[np.floating | float | None], missing: float = 0.0) -> torch.Tensor:
     return torch.from_numpy(runner.array(values, missing))[None]
 
 
