@@ -129,9 +129,9 @@ PROGRAMS: dict[str, Callable[[Repositories], None]] = {
 def test_no_program_of_a_repository_runs(repositories, plant):
     plant(repositories)
     assert not repositories.canary.exists()
-    record = snapshot_source([repositories.outer], repositories.root / "source")
+    (record,) = snapshot_source([repositories.outer], repositories.root / "source")
     assert not repositories.canary.exists()
-    assert record["root"] == str(repositories.outer)
+    assert record.root == str(repositories.outer)
 
 
 def elsewhere(made: Repositories, private: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from report.pages import Page
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.report import inline_svg, make_report
+from wheelleg_exp.report import make_report, plot_images
 from wheelleg_exp.report.page_blocks import Plot
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -24,7 +24,7 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.fixture(autouse=True)
 def _undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "drawings_too" not in request.fixturenames:
-        monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
+        monkeypatch.setattr(plot_images, "_plot", lambda panel: Plot(None, panel.title))
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 BLOCKS = {"p", "pre", "dt", "dd", "div", "td", "th", "h1", "h2", "h3", "li", "figcaption", "summary", "text"}
 VOID = {"meta", "link", "img", "br", "hr", "input"}
@@ -47,6 +49,13 @@ class Page(HTMLParser):
 
     def all(self, *tags: str) -> list[Element]:
         return [element for element in self.elements if element.tag in tags]
+
+    @property
+    def drawings(self) -> list[ElementTree.Element]:
+        """The plots: SVG documents in the data URIs of images, in which a browser runs no script."""
+        head = "data:image/svg+xml,"
+        uris = [element.attributes["src"] for element in self.all("img")]
+        return [ElementTree.fromstring(unquote(uri.removeprefix(head))) for uri in uris if uri.startswith(head)]
 
     def section(self, name: str) -> str:
         (found,) = [element for element in self.elements if element.attributes.get("id") == name]

@@ -96,9 +96,10 @@ def test_a_later_command_gets_its_own_entry(tmp_path):
     (tmp_path / "play" / "a.rrd").write_bytes(b"abc")
     before = on_disk(tmp_path)
     words = ["wheelleg", "play"]
-    entry = Manifest.load(tmp_path).add("play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=words)
+    Manifest.load(tmp_path).add("play", [tmp_path / "play" / "a.rrd"], {"survival": 1.0}, command=words)
     after = on_disk(tmp_path)
-    assert (after["additions"], entry["kind"], entry["command"]) == ([entry], "play", words)
+    (entry,) = after["additions"]
+    assert (entry["kind"], entry["command"], entry["results"]) == ("play", words, {"survival": 1.0})
     assert entry["files"] == {"play/a.rrd": {"sha256": hashlib.sha256(b"abc").hexdigest(), "size": 3}}
     rest = [{k: v for k, v in data.items() if k not in ("additions", "sha256")} for data in (after, before)]
     assert rest[0] == rest[1]

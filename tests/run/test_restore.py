@@ -13,7 +13,8 @@ from wheelleg_exp.run.source_snapshot import snapshot_source
 
 
 def snapshot(root: Path, run: Path) -> dict:
-    return snapshot_source([root], run / "source")
+    snapshot_source([root], run / "source")
+    return json.loads((run / "source" / "git.json").read_text())
 
 
 def change_record(run: Path, **changes) -> None:
@@ -64,9 +65,9 @@ def test_a_commit_is_found_without_a_branch_and_a_missing_one_is_reported_with_a
     assert restore_source(tmp_path / "run", tmp_path / "again") == record["tree"]
     nowhere, other = tmp_path / "nowhere", tmp_path / "other"
     git(tmp_path, "init", "-q", str(other))
-    assert find_origin(record, [nowhere, other, repository]) == repository
+    assert find_origin(*load_source(tmp_path / "run"), [nowhere, other, repository]) == repository
     with pytest.raises(RunDirectoryError) as caught:
-        find_origin(record, [nowhere, other])
+        find_origin(*load_source(tmp_path / "run"), [nowhere, other])
     words = [f"{other}: does not contain it", f"the folder '{nowhere}'", "--repository"]
     words += [f"git fetch https://example.org/robots.git {record['commit']}"]
     assert [word for word in words if word not in str(caught.value)] == []
@@ -79,7 +80,7 @@ def test_a_tree_without_a_commit_needs_no_repository(tmp_path, git):
     record = snapshot(unborn, tmp_path / "run")
     shutil.rmtree(unborn)
     assert record["commit"] is None
-    assert find_origin(record, []) is None
+    assert find_origin(*load_source(tmp_path / "run"), []) is None
     assert restore_source(tmp_path / "run", tmp_path / "again") == record["tree"]
     assert (tmp_path / "again" / "robot.yaml").read_text() == "a: 1\n"
 
@@ -175,7 +176,8 @@ def test_a_patch_that_differs_from_the_recorded_patch_or_tree_is_refused(reposit
 
 
 MALICIOUS = [{"commit": "--upload-pack=touch evil"}, {"tree": "HEAD"}, {"base": "../x"}, {"others": [{"commit": "-x"}]}]
-MALICIOUS += [{"patch": "../../manifest.json"}, {"folders": ["../../elsewhere"]}, {"folders": ["/etc"]}]
+MALICIOUS += [{"contents": []}, {"contents": {"a": 1}}, {"patch": "../../manifest.json"}]
+MALICIOUS += [{"folders": ["../../elsewhere"]}, {"folders": ["/etc"]}]
 
 
 @pytest.mark.parametrize("changes", MALICIOUS)

@@ -10,7 +10,7 @@ import pytest
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run import git_commands as git_module
 from wheelleg_exp.run.source_changes import source_lines
-from wheelleg_exp.run.source_restore import restore_source
+from wheelleg_exp.run.source_restore import load_source, restore_source
 from wheelleg_exp.run.source_snapshot import snapshot_source
 
 ODD = ["a b.txt", "tab\there", "new\nline", 'quo"te', "back\\slash", "ünï", "-dash", ":(top)x", "*"]
@@ -18,7 +18,8 @@ ODD += [os.fsdecode(b"\xff")]  # no UTF-8
 
 
 def snapshot(root, folder, **keywords):
-    return snapshot_source(root if isinstance(root, list) else [root], folder / "source", **keywords)
+    snapshot_source(root if isinstance(root, list) else [root], folder / "source", **keywords)
+    return json.loads((folder / "source" / "git.json").read_text())
 
 
 def digests(folder):
@@ -303,7 +304,7 @@ def test_a_source_without_git_is_named_as_not_captured(uncaptured, repository, t
     assert (record["status"], record["root"], record["exact"]) == ("no_repository", str(root), False)
     assert record["patch"] is record["tree"] is None
     assert reason in record["note"]
-    assert source_lines(record) == [f"warning: the source is not captured: {record['note']}"]
+    assert source_lines(load_source(tmp_path)) == [f"warning: the source is not captured: {record['note']}"]
     with pytest.raises(RunDirectoryError, match="did not store its source code"):
         restore_source(tmp_path, tmp_path / "again")
 
@@ -353,7 +354,7 @@ def test_nested_repositories_and_submodules_are_named_as_not_captured(repository
 
 def test_one_console_line_describes_each_source(repository, git, tmp_path):
     def lines(*roots, **keywords):
-        return source_lines(snapshot(list(roots), tmp_path, **keywords))
+        return source_lines(snapshot_source(roots, tmp_path / "source", **keywords))
 
     commit = git(repository, "rev-parse", "HEAD")[:10]
     assert lines(repository) == [f"source: commit {commit} of {repository} on main, clean"]

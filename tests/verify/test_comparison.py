@@ -14,6 +14,7 @@ from onnx import helper
 from verify import synthetic
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import dump_json
+from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.verify import compare_runs, environment_differences
 from wheelleg_exp.verify.run_differences import decides
@@ -510,14 +511,14 @@ INDEPENDENT, DEPENDENT = {"independent": True}, {"independent": False}
     ],
 )
 def test_what_allows_other_numbers(section, a, b, also, allowed):
-    (found,) = environment_differences({section: a, **also}, {section: b, **also})
+    (found,) = environment_differences(*([ProcessFacts(**{section: facts, **also})] for facts in (a, b)))
     assert (found.allows is not None) == allowed
 
 
 def test_more_packages_are_read_from_the_environment_file(a, b):
     b.environment.write_text("numpy==2.0\npyyaml==6.1\nextra==1\n")
     # A section that only one side has is not compared.
-    assert environment_differences({"versions": {"torch": "1"}}, {"hardware": {"cpu": "x"}}) == []
+    assert environment_differences([ProcessFacts(versions={"torch": "1"})], [ProcessFacts(hardware={"cpu": "x"})]) == []
     found = identical(a, b)
     assert [(d.name, d.a, d.b) for d in found.environment] == [("extra", None, "1"), ("pyyaml", "6.0", "6.1")]
 

@@ -8,9 +8,13 @@ from wheelleg_exp.verify.tolerance import END, START, judge
 LONG = 100
 
 
+def line(iteration, scalars):
+    return Line(iteration, {}, scalars, None, {}, 0)
+
+
 def run(reward=lambda i: float(i), value=lambda i: 1.0, length=lambda i: 50.0, iterations=LONG):
     return [
-        Line(i, {}, {"Train/mean_reward": reward(i), "Train/mean_episode_length": length(i), "Loss/value": value(i)})
+        line(i, {"Train/mean_reward": reward(i), "Train/mean_episode_length": length(i), "Loss/value": value(i)})
         for i in range(iterations)
     ]
 
@@ -81,7 +85,7 @@ def late(i):
 
 
 def without(lines, *names):
-    return [Line(x.iteration, {}, {k: v for k, v in x.scalars.items() if k not in names}) for x in lines]
+    return [line(x.iteration, {k: v for k, v in x.scalars.items() if k not in names}) for x in lines]
 
 
 def test_iterations_without_the_figure_do_not_spare_the_run_the_comparison_of_its_end():

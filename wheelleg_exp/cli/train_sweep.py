@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import print_json
 from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
@@ -19,7 +19,7 @@ from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose_sweep import Sweep
-    from wheelleg_exp.run.run_index import SweepIndex
+    from wheelleg_exp.run.run_index import JobEntry, SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
 _MOST_SHOWN = 3
@@ -145,8 +145,8 @@ def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
             print(f"{'' if number else label:<6} {line}")
 
 
-def _row(index: SweepIndex, job: Mapping[str, Any]) -> list[str]:
+def _row(index: SweepIndex, job: JobEntry) -> list[str]:
     run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
     status = "not started" if job["status"] == "waiting" else job["status"]
     figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
-    return [job["number"], " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"]
+    return [str(job["number"]), " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"]

@@ -15,16 +15,24 @@ from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.config_diff import Side
 from wheelleg_exp.config.tree_lookup import line_table
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
-from wheelleg_exp.files import read_json, require_mapping
 from wheelleg_exp.jobs.train.source_roots import source_roots
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run import environment
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, recorded_config, recorded_overrides
+from wheelleg_exp.run.run_config import (
+    CONFIG,
+    PARTS,
+    ROBOT,
+    load_params,
+    recorded_config,
+    recorded_overrides,
+    recorded_robot,
+)
 from wheelleg_exp.run.run_directory import LATEST, RunDirectory
-from wheelleg_exp.run.source_changes import changed_states
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, snapshot_source, source_entries
+from wheelleg_exp.run.source_changes import SourceRecord
+from wheelleg_exp.run.source_snapshot import snapshot_source
 from wheelleg_exp.terms.key_syntax import dotted, is_override, split_path
+from wheelleg_exp.verify.run_differences import source_of
 
 # ``SECTIONS`` names the config sections that can change the numbers that a training computes.
 SECTIONS = ("seed", "task", "env", "agent", "recording")
@@ -124,55 +132,53 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
 
 def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
     """Return a run's config sections that are not in the folder ``params/``, such as ``task`` and ``seed``."""
-    manifest = run.manifest()
-    sections: dict[str, Any] = {"task": {"name": manifest.data["task"]}}
-    if manifest.data.get("seeds"):
-        sections["seed"] = manifest.data["seeds"][0]
+    facts = run.manifest().facts
+    sections: dict[str, Any] = {"task": {"name": facts.task}}
+    if facts.seeds:
+        sections["seed"] = facts.seeds[0]
     if not (run.path / CONFIG).is_file():
         return sections
     try:
-        recorded = recorded_config(run, manifest.data.get("config_variables") or {})
+        recorded = recorded_config(run, facts.config_variables or {})
     except RunDirectoryError:
         return sections  # OmegaConf cannot resolve an interpolation in the run's saved config, so ignore this config.
     return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
 
 
-def _facts(run: RunDirectory) -> dict[str, dict[str, Any]]:
-    data = run.manifest().data
-    record, robot = run.source / RECORD_NAME, _described(run.path / ROBOT)
+def _facts(run: RunDirectory) -> dict[str, Mapping[str, object]]:
+    manifest = run.manifest()
+    facts = manifest.facts
+    robot = recorded_robot(run) if (run.path / ROBOT).is_file() else None
     return {
-        "code": _code(_described(record) or data.get("source") or {}),
-        "versions": dict(data.get("versions") or {}),
-        "hardware": dict(data.get("hardware") or {}),
-        "threads": dict(data.get("threads") or {}),
-        "variables": dict(data.get("environment_variables") or {}),
-        "asset": {**dict(robot.get("sources") or {}), "compiled model": robot.get("model_sha256")},
+        "code": _code(source_of(run, manifest)),
+        "versions": facts.versions or {},
+        "hardware": facts.hardware or {},
+        "threads": facts.threads or {},
+        "variables": facts.environment_variables or {},
+        "asset": {**robot.sources, "compiled model": robot.model_sha256} if robot else {"compiled model": None},
     }
 
 
-def _described(path: Path) -> dict[str, Any]:
-    return require_mapping(read_json(path), path) if path.is_file() else {}
-
-
-def _code(record: Mapping[str, Any]) -> dict[str, Any]:
+def _code(records: Sequence[SourceRecord]) -> dict[str, object]:
     """Return the git state of a run's source folders, such as ``commit``, or ``commit (2)`` for the second folder."""
-    found = {key: record[key] for key in _CODE if key in record} | changed_states(record)
-    for number, other in enumerate(source_entries(record)[1:], start=2):
-        facts = {**{key: other.get(key) for key in _CODE}, **changed_states(other)}
-        found |= {f"{key} ({number})": value for key, value in facts.items()}
+    found: dict[str, object] = {}
+    for number, record in enumerate(records, start=1):
+        mark = f" ({number})" if number > 1 else ""
+        found |= {f"{key}{mark}": getattr(record, key) for key in _CODE}
+        found |= {f"{path}{mark}": states[1] for path, states in (record.contents or {}).items()}
     return found
 
 
-def _facts_here(composed: Composed) -> dict[str, dict[str, Any]]:
+def _facts_here(composed: Composed) -> dict[str, Mapping[str, object]]:
     """Return this machine's source code state, package versions, and hardware, and the hashes of the robot's files."""
     from wheelleg_exp.asset.conversion_cache import find_extra_files, source_digest
 
     with tempfile.TemporaryDirectory() as folder:
-        record = snapshot_source(source_roots(composed), Path(folder))
+        records = snapshot_source(source_roots(composed), Path(folder))
     try:
         env, roots = composed.config["env"], composed.asset_roots
         layers = source_digest(find_asset(env["robot"]["asset"], roots), extra_files=find_extra_files(env, roots))
     except WheellegError:
         layers = {}
-    facts = {"code": _code(record), "versions": dict(environment.versions()), "hardware": environment.hardware()}
-    return {**facts, "asset": layers}
+    code = _code(records)
+    return {"code": code, "versions": environment.versions(), "hardware": environment.hardware(), "asset": layers}

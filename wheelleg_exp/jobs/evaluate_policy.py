@@ -48,6 +48,7 @@ from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.run.records import Addition
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
@@ -295,20 +296,19 @@ class Margin(NamedTuple):
     reference: float | None
 
 
-def margins_of(additions: Sequence[Mapping[str, Any]], checkpoint_sha256: str | None = None) -> list[Margin]:
+def margins_of(additions: Sequence[Addition], checkpoint_sha256: str | None = None) -> list[Margin]:
     """Return the margins that a run's newest evaluation of margins measured; [] without such an evaluation.
 
     ``additions`` are the entries of the run's manifest. With ``checkpoint_sha256``, only evaluations of this checkpoint
     count.
     """
 
-    def margins(results: Mapping[str, Any]) -> dict[str, float]:
+    def margins(results: Mapping[str, object]) -> dict[str, float]:
         metrics = results.get("metrics")
         found = {name: metrics.get(name) for name in MARGINS} if isinstance(metrics, Mapping) else {}
         return {name: value for name, value in found.items() if isinstance(value, (int, float))}
 
-    kept = [(entry.get("kind"), entry.get("results")) for entry in additions]
-    results = [(kind, found) for kind, found in kept if isinstance(found, Mapping) and margins(found)]
+    results = [(entry.kind, entry.results) for entry in additions if margins(entry.results)]
     sha, scenarios = "checkpoint_sha256", "scenarios_sha256"
     mine = [r for kind, r in results if kind == "evaluation" and checkpoint_sha256 in (None, r.get(sha))]
     if not mine:

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
-from wheelleg_exp.jobs.result_record import build_record, compare_with_reference, evaluation_numbers, parameters
+from wheelleg_exp.jobs.result_record import (
+    EvaluationNumbers,
+    MetricNumbers,
+    Recipe,
+    ResultManifest,
+    ResultRecord,
+    build_record,
+    compare_with_reference,
+    evaluation_numbers,
+    parameters,
+)
 from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.run.environment import hardware, versions
+from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.verify.run_differences import (
@@ -50,8 +60,8 @@ class Reproduction:
 
 
 def reproduce(
-    record: Mapping[str, Any],
-    manifests: Sequence[Mapping[str, Any]],
+    record: ResultRecord,
+    manifests: Sequence[ResultManifest],
     root: Path,
     say: Callable[[str], None],
     config_dirs: Sequence[Path] = (),
@@ -62,7 +72,7 @@ def reproduce(
     ``trained`` maps training recipes to finished runs; ``reproduce`` adds its runs, so that no recipe is trained twice.
     ``say`` receives texts about the progress of the reproduction.
     """
-    here = [{"versions": versions(), "hardware": hardware()}]
+    here = [ProcessFacts(versions=versions(), hardware=hardware())]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
     for line in differs:
         say(f"differs: {line}")
@@ -78,13 +88,13 @@ def reproduce(
     if record["reference"] is not None:
         say("reference: evaluating")
         reference = evaluate_reference(runs[0].run, record["words"], _COMMAND, None, config_dirs)
-    made = [run.run.manifest().data for run in runs]
-    trees = [[one["source"].get("tree") for one in side] for side in (manifests, made)]
+    made = [run.run.manifest().facts for run in runs]
+    trees = [one.source.tree for one in manifests], [one.source and one.source.tree for one in made]
     found = list(_differences(record, runs, reference))
     return Reproduction(found, _machine_differences(manifests, made), trees[0] != trees[1])
 
 
-def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iterator[str]:
+def evaluation_differences(recorded: EvaluationNumbers, made: Evaluated) -> Iterator[str]:
     """Yield texts that describe how a new evaluation differs from the recorded evaluation."""
     now = evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
@@ -98,7 +108,7 @@ def evaluation_differences(recorded: Mapping[str, Any], made: Evaluated) -> Iter
             yield from _leaf_differences(was, is_now, name)  # Equal metric values can still have different units.
 
 
-def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
+def _differences(record: ResultRecord, runs: Sequence[Evaluated], reference: Evaluated | None) -> Iterator[str]:
     """Yield texts about networks, evaluations, and comparisons that differ from those of the recorded result."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
@@ -107,7 +117,7 @@ def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference
         for line in (*lines, *evaluation_differences(recorded["evaluation"], made)):
             equal = False
             yield f"run {number}: {line}"
-    if reference is not None:
+    if reference is not None and record["reference"] is not None:
         for line in evaluation_differences(record["reference"], reference):
             equal = False
             yield f"reference: {line}"
@@ -118,18 +128,18 @@ def _differences(record: Mapping[str, Any], runs: Sequence[Evaluated], reference
         yield from _leaf_differences({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})
 
 
-def _leaf_differences(was: Any, now: Any, *keys: str) -> Iterator[str]:
+def _leaf_differences(was: object, now: object, *keys: str) -> Iterator[str]:
     """Yield a text for each number or string that differs between two nested values."""
     for change in plain_changes(was, now, keys):
         yield f"{change.key} is {shorten(change.b)}, and was {shorten(change.a)}"
 
 
 def _machine_differences(
-    was: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]], *, early: bool = False
+    was: Sequence[ProcessFacts], now: Sequence[ProcessFacts], *, early: bool = False
 ) -> list[FactDifference]:
     """Return machine differences that may change results; ``early`` omits those that only an imported torch reports."""
     unknown = UNKNOWN_BEFORE_TORCH if early else ()
-    sides = zip(was, now, strict=True)
+    sides = ((one.processes, other.processes) for one, other in zip(was, now, strict=True))
     facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
     return [fact for number, fact in enumerate(facts) if fact not in facts[:number]]
 
@@ -138,12 +148,12 @@ def _fact_lines(facts: Sequence[FactDifference]) -> list[str]:
     return [f"{fact.name} was {shorten(fact.a)}, is {shorten(fact.b)}" for fact in facts]
 
 
-def _value(figure: Mapping[str, Any] | None) -> str:
+def _value(figure: MetricNumbers | None) -> str:
     return "absent" if figure is None else repr((figure["value"], figure["low"], figure["high"]))
 
 
 def _trained_run(
-    recipe: Mapping[str, Any],
+    recipe: Recipe,
     root: Path,
     trained: dict[str, RunDirectory],
     say: Callable[[str], None],
@@ -152,7 +162,7 @@ def _trained_run(
     if repr(recipe) in trained:
         return trained[repr(recipe)]
     words = list(recipe["overrides"])
-    if recipe["begins_with"] is not None:
+    if recipe["begins_with"] is not None and recipe["iteration"] is not None:
         parent = _trained_run(recipe["begins_with"], root, trained, say, config_dirs)
         words.append(f"init_from={parent.checkpoint(recipe['iteration'])}")
     say(f"wheelleg train {' '.join(words)}")

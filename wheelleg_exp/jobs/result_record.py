@@ -9,17 +9,21 @@ import json
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
 from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated, compare
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
+from wheelleg_exp.run import records
+from wheelleg_exp.run.records import ProcessFacts, Resume
 from wheelleg_exp.run.run_config import require_overrides
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.source_changes import SourceRecord
 from wheelleg_exp.run.stock_policies import PREFIX, refuse_stock
 from wheelleg_exp.verify.run_differences import is_the_machine
 
@@ -31,7 +35,90 @@ _FOOTNOTE = (
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
-def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> str:
+class Recipe(TypedDict):
+    """The overrides of a training, and the recipe and the iteration of the run with which it starts."""
+
+    overrides: list[str]
+    begins_with: Recipe | None
+    iteration: int | None
+
+
+class MetricNumbers(TypedDict):
+    """A metric of one evaluation; None replaces NaN and inf."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+class EvaluationNumbers(TypedDict):
+    """An evaluation's seed, digests, and metrics, which a repetition must reproduce exactly."""
+
+    seed: int
+    scenarios_sha256: str
+    starts_sha256: Mapping[str, str]
+    metrics: Mapping[str, MetricNumbers]
+
+
+class RunEntry(TypedDict):
+    """A run of a result: its id, its training, the digest of its networks, and its evaluation."""
+
+    id: str
+    train: Recipe
+    parameters: str
+    evaluation: EvaluationNumbers
+
+
+class IntervalNumbers(MetricNumbers):
+    """A value with its interval and its noise floor."""
+
+    floor: float | None
+
+
+class SeedsRow(TypedDict):
+    """A metric of all runs, and its mean."""
+
+    unit: str
+    values: list[float | None]
+    mean: IntervalNumbers
+
+
+class DifferenceRow(TypedDict):
+    """The difference between the runs and the reference in one metric."""
+
+    interval: IntervalNumbers
+    outcome: str
+
+
+class ResultRecord(TypedDict):
+    """The content of ``NAME.json``: all numbers of a result."""
+
+    format: int
+    name: str
+    words: list[str]
+    protocol: str
+    about: Mapping[str, Any]
+    scenarios_sha256: str
+    against: str | None
+    runs: list[RunEntry]
+    reference: EvaluationNumbers | None
+    over_seeds: Mapping[str, SeedsRow]
+    differences: Mapping[str, DifferenceRow] | None
+    verdict: str
+    push_verdict: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultManifest(ProcessFacts):
+    """The part of a run's manifest that ``write_results`` saves next to a result."""
+
+    id: str
+    seeds: tuple[int, ...] = ()
+    results: Mapping[str, object] = field(default_factory=dict)
+    source: SourceRecord = field(default_factory=SourceRecord)
+
+
+def result_page(record: ResultRecord, manifests: Sequence[ResultManifest]) -> str:
     """Return a result as Markdown."""
     parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
@@ -40,15 +127,15 @@ def result_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]
     return "\n".join(parts) + "\n"
 
 
-def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _introduction(record: ResultRecord, manifests: Sequence[ResultManifest]) -> Iterator[str]:
     about = record["about"]
     profile = f"The config file with `profile: {about['profile']}` defines the robot. " if about.get("profile") else ""
-    seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.get("seeds") or [])
+    seeds = ", ".join(str(seed) for manifest in manifests for seed in manifest.seeds)
     scenarios = record["scenarios_sha256"][:16]
     yield f"This page evaluates policies in the test episodes of `protocol={record['protocol']}` (docs/evaluation.md)."
     steps = f"physics step was {about['physics_dt_s']:.6g} s, the control step {about['step_dt_s']:.6g} s"
     yield f"The evaluation protocol and its seed have the SHA-256 `{scenarios}…`. {profile}The {steps}."
-    took = [manifest["results"].get("seconds") for manifest in manifests]
+    took = [manifest.results.get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
     several = any(run["train"]["begins_with"] for run in record["runs"])
@@ -63,15 +150,15 @@ def _introduction(record: Mapping[str, Any], manifests: Sequence[Mapping[str, An
         yield f"{_FOOTNOTE}\n"
 
 
-def machines_of(manifest: Mapping[str, Any]) -> Iterator[str]:
+def machines_of(manifest: ProcessFacts) -> Iterator[str]:
     """Yield the CPU, core count, and GPU of each machine that trained the run: before each resume, and at the end."""
-    for process in (*(entry["before"] or {} for entry in manifest.get("resumes") or ()), manifest):
-        hardware, device = process.get("hardware") or {}, (process.get("threads") or {}).get("device", "cpu")
+    for process in manifest.processes:
+        hardware, device = process.hardware or {}, (process.threads or {}).get("device", "cpu")
         gpu = "" if device == "cpu" else " and a GPU"
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores{gpu}"
 
 
-def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+def _table(record: ResultRecord, names: Sequence[str]) -> Iterator[str]:
     count = len(record["runs"])
     over = ["mean", "95 % interval", "noise floor"] if count > 1 else ["95 % interval"]
     reference, against = record["reference"], record["differences"]
@@ -89,21 +176,20 @@ def _table(record: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
         cells = [_number(value, factor) for value in row["values"]]
         cells += [_number(mean["value"], factor), between, _number(mean["floor"], factor)] if count > 1 else [between]
         if reference:
-            cells.append(_number(reference["metrics"].get(name, {}).get("value"), factor))
+            cells.append(_number(one["value"] if (one := reference["metrics"].get(name)) else None, factor))
         if against:
-            cells.append(_outcome(against.get(name, {}), count))
+            cells.append(_outcome(against[name], count) if name in against else "")
         yield f"| {name.partition('/')[2]} | {unit} | " + " | ".join(cells) + " |"
 
 
-def _outcome(difference: Mapping[str, Any], count: int) -> str:
+def _outcome(difference: DifferenceRow, count: int) -> str:
     """Return a comparison's outcome, with a footnote mark if other training seeds may give another outcome."""
-    outcome = str(difference.get("outcome", ""))
-    low, high = (difference.get("interval", {}).get(end) for end in ("low", "high"))
+    outcome, low, high = difference["outcome"], difference["interval"]["low"], difference["interval"]["high"]
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
     return f"{outcome} {_MARK}" if alone else outcome
 
 
-def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _commands_and_runs(record: ResultRecord, manifests: Sequence[ResultManifest]) -> Iterator[str]:
     yield "```"
     for run in record["runs"]:
         yield from _commands(run["train"])
@@ -113,15 +199,14 @@ def _commands_and_runs(record: Mapping[str, Any], manifests: Sequence[Mapping[st
     yield "| run | seed | commit | networks |"
     yield "|---|---|---|---|"
     for run, manifest in zip(record["runs"], manifests, strict=True):
-        source = manifest["source"]
-        commit = str(source.get("commit"))[:12] + (" and changes" if source.get("dirty") else "")
-        seeds = ", ".join(map(str, manifest.get("seeds") or []))
-        link = f"[{manifest['id']}]({record['name']}/{manifest['id']}.json)"
+        commit = str(manifest.source.commit)[:12] + (" and changes" if manifest.source.dirty else "")
+        seeds = ", ".join(map(str, manifest.seeds))
+        link = f"[{manifest.id}]({record['name']}/{manifest.id}.json)"
         yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
     yield f"\n`nox -s results -- {record['name']}` retrains and re-evaluates the policies to check this page's numbers."
 
 
-def _commands(recipe: Mapping[str, Any]) -> Iterator[str]:
+def _commands(recipe: Recipe) -> Iterator[str]:
     before = recipe["begins_with"]
     if before is not None:
         yield from _commands(before)
@@ -160,7 +245,7 @@ def write_results(
     for path, manifest in zip(files, manifests, strict=True):
         write_json(path, manifest)
     write_json(folder / f"{name}.json", record)
-    write_text(folder / f"{name}.md", result_page(record, manifests))
+    write_text(folder / f"{name}.md", result_page(record, read_manifests(record, folder)))
     with for_people(folder, "written to"):
         for path in earlier.difference(files):
             path.unlink(missing_ok=True)
@@ -172,11 +257,7 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
     path = folder / f"{name}.json"
     if not path.exists():
         return set()
-    try:
-        found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
-    except (LookupError, TypeError) as error:
-        message = "the result record contains no run"
-        raise RunDirectoryError(message, key=str(path), expected=f"{_EXPECTED}, or no such file") from error
+    found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
 
@@ -189,7 +270,7 @@ def compare_with_reference(
 
 def build_record(
     name: str, compared: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: Sequence[str]
-) -> dict[str, Any]:
+) -> ResultRecord:
     """Return the content of ``NAME.json``, which contains all numbers of a result that is named ``NAME``."""
     return {
         "format": FORMAT,
@@ -216,7 +297,7 @@ def build_record(
     }
 
 
-def read_record(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> ResultRecord:
     """Read a result record that ``write_results`` has written."""
     try:
         with for_people(path, "read"):
@@ -226,39 +307,37 @@ def read_record(path: Path) -> dict[str, Any]:
         raise RunDirectoryError(message, key=str(path), expected="a result's record") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("the file is not a record of wheelleg results", key=str(path), expected=_EXPECTED)
-    return record
+    return records.read_record(ResultRecord, record, "broken result record", path)
 
 
-def read_manifests(record: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
+def read_manifests(record: ResultRecord, folder: Path) -> list[ResultManifest]:
     """Read the manifests of a result's runs, which ``write_results`` copied into the folder with the result's name."""
-    return [read_json(folder / record["name"] / f"{run['id']}.json") for run in record["runs"]]
+    paths = [folder / record["name"] / f"{run['id']}.json" for run in record["runs"]]
+    return [records.read_record(ResultManifest, read_json(path), "broken manifest", path) for path in paths]
 
 
-def read_result(name: str, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def read_result(name: str, folder: Path) -> tuple[ResultRecord, list[ResultManifest]]:
     """Read a result's numbers and run manifests; raise RunDirectoryError if ``NAME.md`` and ``NAME.json`` disagree."""
     path = folder / f"{name}.json"
     record = read_record(path)
-    try:
-        if record["name"] != name:
-            message = f"the record is of '{record['name']}'"
-            raise RunDirectoryError(message, key=str(path), expected="a record of its own name")
-        if not record["runs"]:
-            raise RunDirectoryError("the result record contains no run", key=str(path), expected=_EXPECTED)
-        trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
-        require_overrides([*record["words"], *trained], path)
-        manifests = read_manifests(record, folder)
-        require_matching_page(record, manifests, folder)
-    except (LookupError, TypeError, AttributeError) as error:
-        raise RunDirectoryError(f"the result record lacks a key: {error}", key=str(path), expected=_EXPECTED) from error
+    if record["name"] != name:
+        message = f"the record is of '{record['name']}'"
+        raise RunDirectoryError(message, key=str(path), expected="a record of its own name")
+    if not record["runs"]:
+        raise RunDirectoryError("the result record contains no run", key=str(path), expected=_EXPECTED)
+    trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
+    require_overrides([*record["words"], *trained], path)
+    manifests = read_manifests(record, folder)
+    require_matching_page(record, manifests, folder)
     return record, manifests
 
 
-def _recipe_overrides(made: Mapping[str, Any]) -> list[Any]:
+def _recipe_overrides(made: Recipe) -> list[str]:
     """Return a training's overrides, followed by those of the training that produced its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
 
 
-def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping[str, Any]], folder: Path) -> None:
+def require_matching_page(record: ResultRecord, manifests: Sequence[ResultManifest], folder: Path) -> None:
     """Raise RunDirectoryError if a result's page ``NAME.md`` does not agree with the numbers in ``NAME.json``."""
     path = folder / f"{record['name']}.md"
     if read_text(path) != result_page(record, manifests):
@@ -266,19 +345,19 @@ def require_matching_page(record: Mapping[str, Any], manifests: Sequence[Mapping
         raise RunDirectoryError("the result's page and the result's JSON file differ", key=str(path), expected=expected)
 
 
-def recipe(run: RunDirectory) -> dict[str, Any]:
+def recipe(run: RunDirectory) -> Recipe:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
     A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run that
     was resumed on another machine, or with another number of threads, also counts as one training; the Markdown page of
     results names both machines. If one uninterrupted training cannot reproduce the run, raise RunDirectoryError.
     """
-    data = run.manifest().data
-    refuse_stock(run.path, data.get("stock"))
-    words = [str(word) for entry in data["resumes"] for word in entry.get("overrides") or []]
+    facts = run.manifest().facts
+    refuse_stock(run.path, facts.stock)
+    words = [word for entry in facts.resumes for word in entry.overrides]
     longer = [word for word in words if not word.startswith(_THREADS)]
-    exact = all(entry.get("exact") is True or _changed_machine(entry) for entry in data["resumes"])
-    if data["status"] != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
+    exact = all(entry.exact is True or _changed_machine(entry) for entry in facts.resumes)
+    if facts.status != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         expected = "a finished run whose resumes changed nothing but its length, the machine, or the number of threads"
         raise RunDirectoryError("the run was not an uninterrupted training", key=run.id, expected=expected)
     if (run.asset / TEACHER).is_file():
@@ -289,19 +368,18 @@ def recipe(run: RunDirectory) -> dict[str, Any]:
     if longer:
         overrides = [*(word for word in overrides if not word.startswith(_LENGTH)), longer[-1]]
     words = [word for word in overrides if not word.lstrip("+~").startswith(_LOCATION_PREFIXES)]
-    found: dict[str, Any] = {"overrides": words, "begins_with": None, "iteration": None}
-    began = data.get("init_from")
-    if isinstance(began, Mapping) and str(began.get("named")).startswith(PREFIX):
-        words.append(f"init_from={began['named']}")  # Every user has the policies that ship with ``wheelleg_exp``.
-    elif isinstance(began, Mapping):
-        parent = RunDirectory.open(str(began["run"]), run.root)
-        found |= {"begins_with": recipe(parent), "iteration": began["iteration"]}
-    return found
+    began = facts.init_from
+    if began is not None and began.named.startswith(PREFIX):
+        words.append(f"init_from={began.named}")  # Every user has the policies that ship with ``wheelleg_exp``.
+    elif began is not None:
+        parent = RunDirectory.open(str(began.run), run.root)
+        return Recipe(overrides=words, begins_with=recipe(parent), iteration=began.iteration)
+    return Recipe(overrides=words, begins_with=None, iteration=None)
 
 
-def _changed_machine(entry: Mapping[str, Any]) -> bool:
+def _changed_machine(entry: Resume) -> bool:
     """Return whether only the hardware and the number of threads changed when the run was resumed."""
-    changed = ((each["section"], each["name"]) for each in entry.get("differences") or ())
+    changed = ((each.get("section"), each.get("name")) for each in entry.differences)
     return is_the_machine(entry) and all(one[0] == "hardware" or one == ("threads", "torch") for one in changed)
 
 
@@ -315,12 +393,12 @@ def require_one_method(runs: Sequence[RunDirectory]) -> None:
             raise RunDirectoryError(message, key=run.id, expected=expected)
 
 
-def _method(made: Mapping[str, Any]) -> dict[str, Any]:
+def _method(made: Recipe) -> Recipe:
     words = sorted(word for word in made["overrides"] if not word.startswith("seed="))
     return {**made, "overrides": words, "begins_with": made["begins_with"] and _method(made["begins_with"])}
 
 
-def _describe_difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def _describe_difference(one: Recipe, other: Recipe) -> str:
     """Describe the different overrides or initial policies of two trainings, such as 'with agent.gamma=0.9'."""
     words = set(one["overrides"]), set(other["overrides"])
     sides = (("with", *words), ("without", *words[::-1]))
@@ -339,10 +417,15 @@ def parameters(run: RunDirectory) -> str:
     return str(json.loads(last)["digests"]["parameters"])
 
 
-def evaluation_numbers(made: Evaluated) -> dict[str, Any]:
+def evaluation_numbers(made: Evaluated) -> EvaluationNumbers:
     """Return an evaluation's seed, scenario hashes, and metrics, which a repetition must reproduce exactly."""
     content = made.content
-    return {key: content[key] for key in ("seed", "scenarios_sha256", "starts_sha256", "metrics")}
+    return EvaluationNumbers(
+        seed=content["seed"],
+        scenarios_sha256=content["scenarios_sha256"],
+        starts_sha256=content["starts_sha256"],
+        metrics=content["metrics"],
+    )
 
 
 def result_manifest(run: RunDirectory) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from wheelleg_exp.jobs.sweep_queue import Job, LocalLauncher, Queue
 from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_index import JobStatus, SweepIndex, SweepStatus
+from wheelleg_exp.run.run_index import JobEntry, JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.stop_request import StopRequest
 
 _WAIT_S, _PATIENCE_S = 0.2, 10.0
@@ -25,16 +25,16 @@ _WAIT_S, _PATIENCE_S = 0.2, 10.0
 class SweepDisplay(Protocol):
     """Shows the progress of a sweep. The argument ``job`` is one job's dictionary from the sweep's index file."""
 
-    def started(self, job: Mapping[str, Any]) -> None:
+    def started(self, job: JobEntry) -> None:
         """Show that a job started."""
 
-    def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
+    def iteration(self, job: JobEntry, done: int, total: int, scalars: Mapping[str, float]) -> None:
         """Show the number of training iterations that a job has finished."""
 
-    def ended(self, job: Mapping[str, Any]) -> None:
+    def ended(self, job: JobEntry) -> None:
         """Show how a job ended."""
 
-    def note(self, job: Mapping[str, Any], text: str) -> None:
+    def note(self, job: JobEntry, text: str) -> None:
         """Show a line of text about a job of the sweep."""
 
 
@@ -62,7 +62,7 @@ class SweepRunner:
             share_cores()
         self._display, self._stop = display, stop
         self._launcher = launcher or LocalLauncher()
-        self._running: dict[Job, dict[str, Any]] = {}
+        self._running: dict[Job, JobEntry] = {}
 
     @while_running()
     def run(self) -> SweepStatus:
@@ -102,7 +102,7 @@ class SweepRunner:
                     job.kill()
                     job.close()
 
-    def _start(self, entry: dict[str, Any], request: JobRequest) -> None:
+    def _start(self, entry: JobEntry, request: JobRequest) -> None:
         if not self._launcher.queued:
             self._index.job_started(entry["number"])
         self._running[self._launcher.start(entry["number"], request)] = entry
@@ -113,7 +113,7 @@ class SweepRunner:
         for job, event in self._launcher.listen(self._running, wait_s):
             self._hear(self._running[job], event)
 
-    def _hear(self, job: dict[str, Any], event: Event) -> None:
+    def _hear(self, job: JobEntry, event: Event) -> None:
         kind = event["event"]
         if kind == "began":
             self._index.job_started(job["number"])
@@ -136,7 +136,7 @@ class SweepRunner:
             self._index.job_ended(entry["number"], *self._outcome(entry, job))
             self._display.ended(entry)
 
-    def _outcome(self, entry: dict[str, Any], job: Job) -> tuple[JobStatus, dict[str, Any], Any]:
+    def _outcome(self, entry: JobEntry, job: Job) -> tuple[JobStatus, dict[str, Any], Any]:
         """Return status, results, and error of a job: from its manifest if possible, else from its process."""
         run = self._index.run_of(entry)
         if run is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -20,7 +20,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text
 from wheelleg_exp.paths import INITIAL, TEACHER
 from wheelleg_exp.run.file_inventory import is_inside
-from wheelleg_exp.run.run_config import ROBOT, recorded_robot
+from wheelleg_exp.run.run_config import ROBOT, RobotIdentity, recorded_robot
 from wheelleg_exp.run.run_directory import RunDirectory
 
 MJCF, REPORT = "robot.xml", "report.json"
@@ -40,8 +40,8 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
         shutil.copyfile(part, target)
     write_text(directory.asset / MJCF, asset.output.read_text(encoding="utf-8"))
     write_text(directory.asset / REPORT, asset.report.to_json())
-    identity: dict[str, Any] = {"source": source, "sources": asset.sources, "model_sha256": model_sha256}
-    write_json(directory.path / ROBOT, identity)
+    identity = RobotIdentity(source=source, sources=asset.sources, model_sha256=model_sha256)
+    write_json(directory.path / ROBOT, asdict(identity))
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
@@ -68,12 +68,12 @@ def saved_mjcf(directory: RunDirectory) -> Path:
 
 def saved_model_digest(directory: RunDirectory) -> str:
     """Return the digest (hash) of the MuJoCo model that the run compiled."""
-    return str(recorded_robot(directory)["model_sha256"])
+    return recorded_robot(directory).model_sha256
 
 
 def saved_sources(directory: RunDirectory) -> dict[str, str]:
     """Return the sha256 of each source file of the run's robot, by its path in the robot's source folder."""
-    return dict(recorded_robot(directory)["sources"])
+    return dict(recorded_robot(directory).sources)
 
 
 def saved_networks(directory: RunDirectory) -> dict[str, Path]:

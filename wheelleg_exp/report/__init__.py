@@ -8,7 +8,7 @@
 | ``performance_section``, ``pictures_section``, ``training_section`` | the robot, and its training |
 | ``settings_section``, ``provenance_section`` | settings; machine, files, and reproducibility |
 | ``several_runs_page`` | the page of several runs: settings, and the spread over seeds |
-| ``page_blocks``, ``inline_svg``, ``value_format`` | the elements of a page |
+| ``page_blocks``, ``plot_images``, ``value_format`` | the elements of a page |
 """
 
 from __future__ import annotations

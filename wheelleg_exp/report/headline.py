@@ -18,13 +18,13 @@ _GOOD, _FAIR = 0.95, 0.5  # The share of episodes with a time-out is green from 
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
-def played(subject: Subject) -> dict[str, Any]:
+def played(subject: Subject) -> Mapping[str, Any]:
     """Return the metrics of the last ``wheelleg play`` or of a zero or random agent's run; {} without metrics."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
-        return numbers(dict(figures)) if isinstance(figures, Mapping) else {}
+        return numbers(figures) if isinstance(figures, Mapping) else {}
     plays = subject.additions("play")
-    return numbers(dict(plays[-1].get("results") or {})) if plays else {}
+    return numbers(plays[-1].results) if plays else {}
 
 
 def ended(figures: Mapping[str, Any]) -> int | None:
@@ -36,9 +36,9 @@ def ended(figures: Mapping[str, Any]) -> int | None:
 def planned(subject: Subject) -> int | None:
     """Return the planned number of training iterations, from the run's config or from an override of a resume."""
     found = subject.setting("agent.max_iterations")
-    for entry in subject.manifest.get("resumes", []):
-        for text in entry.get("overrides") or []:
-            key, _, value = str(text).lstrip("+").partition("=")
+    for entry in subject.manifest.resumes:
+        for text in entry.overrides:
+            key, _, value = text.lstrip("+").partition("=")
             found = int(value) if key == "agent.max_iterations" and value.isdigit() else found
     return found if isinstance(found, int) else None
 
@@ -46,22 +46,22 @@ def planned(subject: Subject) -> int | None:
 def done(subject: Subject) -> int:
     """Return the number of training iterations that the run has finished."""
     last = max((series.at[-1] for series in subject.scalars.values()), default=-1)
-    kept = (subject.manifest.get("results") or {}).get("iterations")
+    kept = subject.manifest.results.get("iterations")
     return kept if isinstance(kept, int) and subject.status == "finished" else last + 1
 
 
 def seconds(subject: Subject) -> float | None:
     """Return the duration of a training, s, from the training's results or from its start and end."""
     # The time between a run's stop and its resume is unknown, so the duration of a resumed run is None.
-    if subject.manifest.get("resumes"):
+    manifest = subject.manifest
+    if manifest.resumes:
         return None
-    kept = (subject.manifest.get("results") or {}).get("seconds")
+    kept = manifest.results.get("seconds")
     if isinstance(kept, (int, float)):
         return float(kept)
-    started, ended = subject.manifest.get("started"), subject.manifest.get("ended")
-    if not (isinstance(started, str) and isinstance(ended, str)):
+    if manifest.ended is None:
         return None
-    return (datetime.fromisoformat(ended) - datetime.fromisoformat(started)).total_seconds()
+    return (datetime.fromisoformat(manifest.ended) - datetime.fromisoformat(manifest.started)).total_seconds()
 
 
 def time_outs(subject: Subject) -> list[str]:
@@ -74,10 +74,10 @@ def time_outs(subject: Subject) -> list[str]:
 def reached_end(subject: Subject) -> float | None:
     """Return the share of environments in which the last training episode reached the time-out without a failure."""
     # In old runs, an episode with a time-out and a failure in the same control step counts as a time-out.
-    names, counts = time_outs(subject), subject.manifest.get("last_ended_by")
-    if isinstance(counts, Mapping) and sum(counts.values()):
-        survived = [count for ended_by, count in counts.items() if set(str(ended_by).split(" and ")) <= set(names)]
-        return float(sum(survived) / sum(counts.values()))
+    names, counts = time_outs(subject), subject.manifest.last_ended_by
+    if sum(counts.values()):
+        survived = [count for ended_by, count in counts.items() if set(ended_by.split(" and ")) <= set(names)]
+        return sum(survived) / sum(counts.values())
     shares = [subject.last(f"Episode_Termination/{name}") for name in names]
     return max((share for share in shares if share is not None), default=None)
 
@@ -102,8 +102,8 @@ def sentence(subject: Subject) -> str:
 
 
 def _broken(subject: Subject, progress: str) -> str:
-    error = subject.manifest.get("error")
-    why = f": {error.get('message')}" if isinstance(error, Mapping) and error.get("message") else ""
+    error = subject.manifest.error
+    why = f": {error.message}" if error and error.message else ""
     if subject.status == "interrupted":
         return f"Training was interrupted after {progress}; it can be resumed."
     if subject.status == "crashed":
@@ -209,7 +209,7 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
     manifest, choices = subject.manifest, subject.choices
     asset, profile = subject.setting("env.robot.asset"), subject.setting("env.robot.profile")
     robot = f"{asset} ({profile})" if asset and profile else str(asset or choices.get("robot") or "")
-    seeds = manifest.get("seeds") or [subject.config.get("seed")]
+    seeds = manifest.seeds or [subject.config.get("seed")]
     envs, step = subject.setting("env.num_envs"), subject.step_s
     rows = [
         ("Task", subject.task),
@@ -217,17 +217,16 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
         ("Environments", number(envs) if is_number(envs) else ""),
         ("Control step", f"{number(1e3 * step)} ms" if step else ""),
         ("Seed", ", ".join(str(seed) for seed in seeds if seed is not None)),
-        ("Started", moment(manifest["started"]) if manifest.get("started") else ""),
-        ("Ended", moment(manifest["ended"]) if manifest.get("ended") else ""),
-        ("Machine", str((manifest.get("hardware") or {}).get("cpu") or "")),
+        ("Started", moment(manifest.started) if manifest.started else ""),
+        ("Ended", moment(manifest.ended) if manifest.ended else ""),
+        ("Machine", str((manifest.hardware or {}).get("cpu") or "")),
     ]
     return [(name, value) for name, value in rows if value]
 
 
 def command(subject: Subject) -> str:
     """Return the command line that started the run."""
-    words = subject.manifest.get("command")
-    return shlex.join(str(word) for word in words) if isinstance(words, list) else ""
+    return shlex.join(subject.manifest.command)
 
 
 def _with_unit(label: str, text: str, note: str, mood: Tone) -> Card:

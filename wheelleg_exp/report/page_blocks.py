@@ -79,10 +79,21 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Plot:
-    """A drawing: clean SVG (see ``inline_svg.clean``; empty if the caption is enough), its title, and its caption."""
+class Picture:
+    """A picture as a data URI, with the size in pixels, the alternative text, and the caption of the picture."""
 
-    svg: str
+    uri: str
+    width: int
+    height: int
+    alt: str
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A drawing, its title, and its caption; no drawing if the caption is enough."""
+
+    picture: Picture | None
     title: str
     caption: str = ""
 
@@ -93,17 +104,6 @@ class Plots:
 
     plots: Sequence[Plot]
     paired: bool = False
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture as a data URI, with the size in pixels, the alternative text, and the caption of the picture."""
-
-    uri: str
-    width: int
-    height: int
-    alt: str
-    caption: str = ""
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ from wheelleg_exp.inspection.recording_plots import PLOTS
 from wheelleg_exp.inspection.recording_summary import Summary, summarize
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.report.headline import ended, played, tone_of
-from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text
+from wheelleg_exp.report.plot_images import drawn
 from wheelleg_exp.report.report_subject import AGENT, Subject
 from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
+from wheelleg_exp.run.records import Addition
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
 _NOTES = 3
@@ -127,7 +128,7 @@ def recording_of_play(subject: Subject) -> Path | None:
     if subject.status == AGENT:
         return subject.file("recording.rrd")
     for entry in reversed(subject.additions("play")):
-        names = [name for name in entry.get("files", {}) if name.endswith(".rrd")]
+        names = [name for name in entry.files if name.endswith(".rrd")]
         return subject.file(names[0]) if names else None
     return None
 
@@ -147,9 +148,9 @@ def motion(recording: Recording) -> list[Block]:
         ("Joints", _panels("joints", recording), _efforts(summary.efforts) if summary else []),
     ]
     found: list[Block] = _scope(summary) if summary else []
-    found += [drawn(first, "play")] if first else []
-    for i, (title, panels, measures) in enumerate(groups):
-        shown = [*measures, *([drawn(panels, f"play-{i}", paired=title == "Joints")] if panels else [])]
+    found += [drawn(first)] if first else []
+    for title, panels, measures in groups:
+        shown = [*measures, *([drawn(panels, paired=title == "Joints")] if panels else [])]
         found += [More(title, shown)] if shown else []
     return found
 
@@ -214,7 +215,7 @@ def _plays(subject: Subject) -> list[Block]:
     plays = subject.additions("play")[-_PLAYS_SHOWN:]
     if len(plays) < 2:
         return []
-    rows = [[Cell(moment(entry.get("when"))), *_play_row(numbers(entry.get("results") or {}))] for entry in plays]
+    rows = [[Cell(moment(entry.when)), *_play_row(numbers(entry.results))] for entry in plays]
     columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height RMSE", "Pitch RMS")
     return [Table("All plays", (*columns, "Of", "Return, mean"), rows)]
 
@@ -228,12 +229,11 @@ def _play_row(results: Mapping[str, Any]) -> list[Cell]:
 
 
 def _evaluations(subject: Subject) -> list[Block]:
-    entries = [one for one in subject.additions("evaluation") if "protocol" not in (one.get("results") or {})]
-    results = entries[-1].get("results") if entries else None
-    if not isinstance(results, Mapping) or not results:
+    entries = [one for one in subject.additions("evaluation") if "protocol" not in one.results]
+    if not entries or not entries[-1].results:
         return []
-    rows = [[Cell(spoken(name)), Cell(number(value), number=True)] for name, value in _flat(numbers(results))]
-    return [Table(f"Evaluation of {moment(entries[-1].get('when'))}", ("Figure", "Value"), rows)]
+    rows = [[Cell(spoken(name)), Cell(number(v), number=True)] for name, v in _flat(numbers(entries[-1].results))]
+    return [Table(f"Evaluation of {moment(entries[-1].when)}", ("Figure", "Value"), rows)]
 
 
 def _flat(results: Mapping[str, Any], head: str = "") -> list[tuple[str, Any]]:
@@ -273,7 +273,7 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     from wheelleg_exp.inspection.evaluation_plots import panels
     from wheelleg_exp.jobs.evaluate_policy import EPISODES, RESULT, margins_of, read_content, read_episodes
 
-    recorded = [str(name) for name in entry.get("files", {})]
+    recorded = list(entry.files)
     files = {kind: next((n for n in recorded if n.endswith(f"/{kind}")), None) for kind in (RESULT, EPISODES)}
     result, episodes = (subject.file(files[kind] or "") for kind in (RESULT, EPISODES))
     content = None if result is None else read_content(result.parent)
@@ -281,24 +281,24 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
         return [Note("The files of the last evaluation cannot be read."), *_repeat_command(subject, "PROTOCOL")]
     # Compare the policy with the reference controller only if both were evaluated in the same scenarios.
     other = _last(subject, "reference")
-    is_same = other is not None and other["results"].get("scenarios_sha256") == str(content.get("scenarios_sha256"))
-    reference: Mapping[str, Any] | None = other["results"]["metrics"] if other is not None and is_same else None
+    is_same = other is not None and other.results.get("scenarios_sha256") == str(content.get("scenarios_sha256"))
+    reference = _metrics(other) if other is not None and is_same else None
     found: list[Block] = [Text(_about_evaluation(entry, content, reference is not None))]
     plots = {} if episodes is None else panels(read_episodes(episodes))
     for test, names in groupby(content["metrics"], lambda name: str(name).partition("/")[0]):
         listed = list(names)
         title = _TITLES.get(test, capital(spoken(test)))
         found.append(_table(title, content["metrics"], reference, listed[:_SHOWN_FIRST]))
-        found += [drawn(plots[test], f"evaluation-{test}", paired=True)] if test in plots else []
+        found += [drawn(plots[test], paired=True)] if test in plots else []
         if rest := listed[_SHOWN_FIRST:]:
             found.append(More(f"More of {title.lower()}", [_table(title, content["metrics"], reference, rest)]))
-    if margins := margins_of(subject.manifest.get("additions", [])):
+    if margins := margins_of(subject.manifest.additions):
         rows = [
             [Cell(f"{capital(name)}, {unit}"), Cell(number(policy), number=True), Cell(number(other), number=True)]
             for name, unit, policy, other in margins
         ]
         found.append(Table("Largest survived change", ("Change", "Policy", "Reference"), rows))
-    compared = [r for entry in subject.additions("comparison") if isinstance(r := entry.get("results"), Mapping)]
+    compared = [entry.results for entry in subject.additions("comparison")]
     in_engines = [r for r in compared if isinstance(r.get("engines"), list) and isinstance(r.get("metrics"), Mapping)]
     found += [Text(str(r["verdict"])) for r in compared[-1:] if r.get("verdict") and r not in in_engines]
     for results in {str(r.get("protocol")): r for r in in_engines}.values():
@@ -318,18 +318,20 @@ def _engine_table(results: Mapping[str, Any]) -> Table:
     return Table(title, ("Metric", *map(str, results["engines"]), "Unit"), rows)
 
 
-def _last(subject: Subject, kind: str) -> Mapping[str, Any] | None:
-    for entry in reversed(subject.additions(kind)):
-        results = entry.get("results")
-        if isinstance(results, Mapping) and isinstance(results.get("metrics"), Mapping) and "protocol" in results:
-            return entry
-    return None
+def _metrics(entry: Addition) -> Mapping[str, object] | None:
+    found = entry.results.get("metrics")
+    return found if isinstance(found, Mapping) else None
 
 
-def _about_evaluation(entry: Mapping[str, Any], content: Mapping[str, Any], has_reference: bool) -> str:
+def _last(subject: Subject, kind: str) -> Addition | None:
+    entries = (entry for entry in reversed(subject.additions(kind)) if "protocol" in entry.results)
+    return next((entry for entry in entries if _metrics(entry) is not None), None)
+
+
+def _about_evaluation(entry: Addition, content: Mapping[str, Any], has_reference: bool) -> str:
     about = content.get("about") or {}
     text = (
-        f"Protocol {content['protocol']['name']}, {moment(entry.get('when'))}, checkpoint {content.get('checkpoint')}, "
+        f"Protocol {content['protocol']['name']}, {moment(entry.when)}, checkpoint {content.get('checkpoint')}, "
         f"robot profile {about.get('profile')}, engine {about.get('engine', 'mujoco')}; scenarios "
         f"{str(content['scenarios_sha256'])[:12]}, the same for every policy. Intervals of 95 % are over episodes, not "
         "over training seeds."

@@ -7,9 +7,9 @@ checks the run's files against manifest.json, and compares the run with training
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import read_json
@@ -17,9 +17,13 @@ from wheelleg_exp.report.page_blocks import Block, Card, Cell, Code, Facts, Head
 from wheelleg_exp.report.report_subject import KIND, Subject
 from wheelleg_exp.report.value_format import brief, counted, moment, number, size
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, odd_entries
+from wheelleg_exp.run.records import RunRecord, read_record
 from wheelleg_exp.run.run_directory import REPLAYS, RunDirectory
-from wheelleg_exp.run.source_snapshot import source_entries
-from wheelleg_exp.verify import Check, RunFindings, compare_runs, verify_run
+from wheelleg_exp.run.source_changes import SourceRecord
+from wheelleg_exp.run.source_restore import load_source
+from wheelleg_exp.verify.check_files import Check, RunFindings
+from wheelleg_exp.verify.check_run import verify_run
+from wheelleg_exp.verify.run_comparison import compare_runs
 
 _LISTED, _FINDINGS = 40, 200
 _THREADS = {
@@ -55,41 +59,55 @@ _ENTRY_STATES: Mapping[str, str] = {
 }
 
 
+@dataclass(frozen=True)
+class _Conversion:
+    """The content of ``asset/report.json`` that the page shows."""
+
+    source: str = "–"
+    base: str = "–"
+    totals: Mapping[str, object] = field(default_factory=dict)
+    warnings: tuple[object, ...] = ()
+    unresolved: tuple[object, ...] = ()
+    assumptions: tuple[object, ...] = ()
+    left_out: tuple[object, ...] = ()
+
+
 def source(subject: Subject) -> list[Block]:
     """Return the state of the source: commit, local changes, and the saved patch."""
-    record = _json(subject, "source/git.json") or dict(subject.manifest.get("source") or {})
-    if not record:
+    noted = [subject.manifest.source] if subject.manifest.source and subject.manifest.has_source else []
+    exists = subject.file("source/git.json") is not None
+    records = subject.tried(lambda: load_source(subject.path), noted) if exists else noted
+    if not records:
         return [Note("The state of the source was not recorded.")]
     found: list[Block] = [Heading("Source")]
-    for number_, entry in enumerate(source_entries(record)):
-        found += _repository(entry, number_)
+    for place, record in enumerate(records):
+        found += _repository(record, place)
     return found
 
 
-def _repository(record: Mapping[str, Any], place: int) -> list[Block]:
-    changes = {True: "local changes", False: "no local changes"}.get(record.get("dirty"), "–")  # type: ignore[arg-type]
-    patch, remote = record.get("patch"), record.get("remote") or ""
+def _repository(record: SourceRecord, place: int) -> list[Block]:
+    changes = "–" if record.dirty is None else "local changes" if record.dirty else "no local changes"
     rows = [
-        ("Repository" if not place else f"Repository {place + 1}", str(record.get("root") or "–")),
-        ("Source", _ENTRY_STATES.get(str(record.get("status")), str(record.get("status")))),
-        ("Commit", str(record.get("commit") or "–")),
-        ("Branch", str(record.get("branch") or "–")),
-        ("Working tree", f"{changes}; tree {record.get('tree') or '–'}"),
-        ("Patch", f"source/{patch}, {size(record.get('patch_bytes'))}" if patch else "none"),
-        ("Remote", ", ".join(str(part) for part in remote.values() if part) if isinstance(remote, Mapping) else remote),
+        ("Repository" if not place else f"Repository {place + 1}", record.root or ""),
+        ("Source", _ENTRY_STATES.get(record.status, record.status)),
+        ("Commit", record.commit or ""),
+        ("Branch", record.branch or ""),
+        ("Working tree", f"{changes}; tree {record.tree or '–'}"),
+        ("Patch", f"source/{record.patch}, {size(record.patch_bytes)}" if record.patch else "none"),
+        ("Remote", ", ".join(str(part) for part in (record.remote or {}).values() if part)),
     ]
-    found: list[Block] = [Facts([(name, str(value)) for name, value in rows if value not in ("–", "")])]
-    if record.get("note"):
-        found.append(Note(str(record["note"])))
-    found += _file_list("Untracked files, saved in the patch", record.get("untracked"))
-    refused = [f"{e.get('path')}: {e.get('reason', 'left out')}" for e in _mappings(record.get("refused"))]
+    found: list[Block] = [Facts([(name, value) for name, value in rows if value])]
+    if record.note:
+        found.append(Note(record.note))
+    found += _file_list("Untracked files, saved in the patch", record.untracked)
+    refused = [f"{entry['path']}: {entry['reason']}" for entry in record.refused]
     return [*found, *_file_list("Files left out of the patch", refused)]
 
 
-def _file_list(title: str, names: Any) -> list[Block]:
-    if not isinstance(names, Sequence) or isinstance(names, str) or not names:
+def _file_list(title: str, names: Sequence[str]) -> list[Block]:
+    if not names:
         return []
-    shown = [str(name) for name in names[:_LISTED]]
+    shown = list(names[:_LISTED])
     more = [f"… and {number(len(names) - _LISTED)} more"] if len(names) > _LISTED else []
     return [More(f"{title} ({number(len(names))})", [Code("\n".join([*shown, *more]))])]
 
@@ -97,23 +115,21 @@ def _file_list(title: str, names: Any) -> list[Block]:
 def machine(subject: Subject) -> list[Block]:
     """Return report blocks about a run's machine, threads, environment variables, and package versions."""
     manifest = subject.manifest
-    hardware, threads = dict(manifest.get("hardware") or {}), dict(manifest.get("threads") or {})
-    process = manifest.get("process") or {}
+    hardware, threads, process = manifest.hardware or {}, manifest.threads or {}, manifest.process or {}
     cores = "–" if hardware.get("cores") is None else f"{hardware.get('cores_usable', '–')} of {hardware['cores']}"
     rows = [
         ("CPU", f"{hardware.get('cpu', '–')} ({hardware.get('machine', '–')})"),
         ("Cores usable", cores),
         ("Memory", f"{number(hardware.get('memory_gib'))} GiB"),
         ("System", str(hardware.get("platform", "–"))),
-        ("Host", str(process.get("host", "–"))),
+        ("Host", str(process.get("host") or "–")),
         *_arithmetic(threads),
     ]
     found: list[Block] = [Heading("Machine")]
     found += [Facts([(name, value) for name, value in rows if value != "–"])] if hardware else []
-    variables = dict(manifest.get("environment_variables") or {})
-    if variables:
+    if variables := manifest.environment_variables:
         found.append(Code("\n".join(f"{k}={v}" for k, v in variables.items()), "Environment variables in force:"))
-    versions = [(str(name), str(value)) for name, value in (manifest.get("versions") or {}).items()]
+    versions = [(name, str(value)) for name, value in (manifest.versions or {}).items()]
     if versions:
         exists = subject.file("environment.txt") is not None
         installed = [Text("environment.txt lists every installed distribution.")] if exists else []
@@ -121,15 +137,15 @@ def machine(subject: Subject) -> list[Block]:
     return found if found[1:] else [Note("The machine was not recorded.", "")]
 
 
-def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _arithmetic(threads: Mapping[str, object]) -> list[tuple[str, str]]:
     mkl, numerics = threads.get("mkl"), threads.get("numerics")
     numerics = numerics if isinstance(numerics, Mapping) else {}
-    reasons = threads.get("dependent_because") or []
+    reasons = threads.get("dependent_because")
     rows = [(name, brief(threads[key])) for key, name in _THREADS.items() if threads.get(key) is not None]
     if isinstance(mkl, Mapping):
         rows.append(("MKL's code branch", f"{mkl.get('branch')}, {'strict' if mkl.get('strict') else 'not strict'}"))
     if "independent" in threads:
-        why = "; ".join(map(str, reasons)) or "yes"
+        why = "; ".join(map(str, reasons)) if isinstance(reasons, list) and reasons else "yes"
         rows.append(("Numbers depend on torch's threads", "no" if threads["independent"] else why))
     if threads.get("variables_in_time") is False:
         rows.append(("Thread variables", "were set after torch was imported"))
@@ -142,16 +158,16 @@ def _arithmetic(threads: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def robot(subject: Subject) -> list[Block]:
     """Return report blocks about the conversion of the robot's model: its inputs, assumptions, and omissions."""
-    report = _json(subject, "asset/report.json")
-    if not report:
+    path = subject.file("asset/report.json")
+    read = partial(read_record, _Conversion, broken="broken conversion report", where=path)
+    report = subject.tried(lambda: read(read_json(path)), None) if path else None
+    if report is None:
         return [Note("There is no report of the robot's conversion.", "")]
-    totals = dict(report.get("totals") or {})
-    rows = [("Source", str(report.get("source", "–"))), ("Base", str(report.get("base", "–")))]
-    units = {"mass": " kg"}
-    rows += [(str(name).capitalize(), number(value) + units.get(name, "")) for name, value in totals.items()]
+    rows, units = [("Source", report.source), ("Base", report.base)], {"mass": " kg"}
+    rows += [(name.capitalize(), number(value) + units.get(name, "")) for name, value in report.totals.items()]
     found: list[Block] = [Heading("Robot"), Facts(rows)]
     for key, tone, words in _CONVERSION:
-        entries = _mappings(report.get(key))
+        entries: Sequence[object] = getattr(report, key)
         if entries:
             title = f"{counted(len(entries), 'thing')} {words}"
             found += [Note(f"The conversion has {title}.", "warn")] if tone else []
@@ -159,31 +175,30 @@ def robot(subject: Subject) -> list[Block]:
     return found
 
 
-def _findings(entries: Sequence[Mapping[str, Any]]) -> Table:
+def _findings(entries: Sequence[object]) -> Table:
     rows = []
-    for entry in entries[:_FINDINGS]:
-        rest = {key: value for key, value in entry.items() if key not in ("path", "name")}
+    for found in entries[:_FINDINGS]:
+        entry = found if isinstance(found, Mapping) else {"": found}
+        rest = [brief(value) for key, value in entry.items() if key not in ("path", "name")]
         where = " ".join(str(entry[key]) for key in ("path", "name") if entry.get(key))
-        rows.append([Cell(where or "–", code=True), Cell("; ".join(brief(value) for value in rest.values()))])
+        rows.append([Cell(where or "–", code=True), Cell("; ".join(rest))])
     return Table("Findings of the conversion", ("Where", "Finding"), rows, titled=False)
 
 
 def resumes(subject: Subject) -> list[Block]:
     """Return a table with one row per resume of the run."""
-    entries = _mappings(subject.manifest.get("resumes"))
-    if not entries:
-        return []
     rows = [
         [
-            Cell(moment(entry.get("when"))),
-            Cell("–" if entry.get("iteration") is None else number(entry["iteration"]), number=True),
-            Cell(" ".join(str(text) for text in entry.get("overrides") or []) or "–", code=True),
-            Cell(str((entry.get("before") or {}).get("status", "–"))),
-            Cell({True: "yes", False: "no"}.get(entry.get("exact"), "–")),  # type: ignore[arg-type]
+            Cell(moment(entry.when)),
+            Cell("–" if entry.iteration is None else number(entry.iteration), number=True),
+            Cell(" ".join(entry.overrides) or "–", code=True),
+            Cell((entry.before and entry.before.status) or "–"),
+            Cell("–" if entry.exact is None else "yes" if entry.exact else "no"),
         ]
-        for entry in entries
+        for entry in subject.manifest.resumes
     ]
-    return [Table("Resumes", ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped"), rows)]
+    columns = ("Resumed", "From iteration", "Changed", "Status before", "As if never stopped")
+    return [Table("Resumes", columns, rows)] if rows else []
 
 
 def files(subject: Subject) -> list[Block]:
@@ -200,16 +215,6 @@ def files(subject: Subject) -> list[Block]:
     lead = f"{counted(len(rows), 'file')}, {size(total)} in all; each with its digest in the manifest."
     table = Table("Files", ("File", "Size", "sha256"), rows, titled=False)
     return [Text(lead), More("Names, sizes and digests", [table])]
-
-
-def _json(subject: Subject, name: str) -> dict[str, Any]:
-    path = subject.file(name)
-    empty: dict[str, Any] = {}
-    return subject.tried(lambda: dict(read_json(path)), empty) if path else empty
-
-
-def _mappings(value: Any) -> list[Mapping[str, Any]]:
-    return [entry for entry in value if isinstance(entry, Mapping)] if isinstance(value, list) else []
 
 
 _COMPARED = 3  # Compare a run with at most 3 replays and 3 runs of equal settings: comparisons open checkpoints.
@@ -242,7 +247,7 @@ class Verdict:
     def blocks(self) -> list[Block]:
         """Return the content of the report's section on reproducibility."""
         subject, found = self.subject, [*_found(self), *_repeated(self)]
-        if original := subject.manifest.get("replay_of"):
+        if original := subject.manifest.replay_of:
             found.append(Text(f"This run is itself a replay of {original}."))
         if subject.status == "running":
             return [*found, Note("The run is still running, so it cannot be compared.", "")]
@@ -313,7 +318,7 @@ def _text(subject: Subject, check: Check) -> str:
 
 
 def _reports(subject: Subject) -> set[str]:
-    return {name for entry in subject.additions(KIND) for name in entry.get("files", {})}
+    return {name for entry in subject.additions(KIND) for name in entry.files}
 
 
 def _lines(subject: Subject, lines: Sequence[str]) -> list[str]:
@@ -334,7 +339,7 @@ def _repeated(verdict: Verdict) -> list[Block]:
 
 
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
-    known = str(subject.manifest.get("id") or run.id)
+    known = subject.manifest.id or run.id
     for how, folders in {
         "original": _original(run, subject),
         "replay": _replays(run, known),
@@ -344,8 +349,8 @@ def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
 
 
 def _original(run: RunDirectory, subject: Subject) -> list[Path]:
-    of = subject.manifest.get("replay_of")
-    if not isinstance(of, str) or Path(of).name != of:
+    of = subject.manifest.replay_of
+    if of is None or Path(of).name != of:
         return []
     try:
         return [RunDirectory.open(of, run.root).path]
@@ -355,31 +360,30 @@ def _original(run: RunDirectory, subject: Subject) -> list[Path]:
 
 def _replays(run: RunDirectory, known: str) -> list[Path]:
     found = sorted((run.root / REPLAYS).glob(f"*/*/{MANIFEST_NAME}"))
-    return [path.parent for path in found if path.parent != run.path and _data(path).get("replay_of") == known]
+    others = ((path.parent, _record(path)) for path in found if path.parent != run.path)
+    return [folder for folder, record in others if record is not None and record.replay_of == known]
 
 
 def _equals(run: RunDirectory, subject: Subject) -> list[Path]:
-    if subject.manifest.get("replay_of"):
+    if subject.manifest.replay_of:
         return []
     found = []
     for path in sorted(run.path.parent.glob(f"*/{MANIFEST_NAME}")):
-        data = _data(path)
-        same = _parameters(data) == _parameters(subject.manifest) and data.get("seeds") == subject.manifest.get("seeds")
-        if path.parent != run.path and same and data.get("status") == "finished":
-            found.append(path.parent)
+        record = _record(path)
+        if path.parent != run.path and record is not None and record.status == "finished":
+            found += [path.parent] if _inputs(record) == _inputs(subject.manifest) else []
     return found
 
 
-def _parameters(manifest: Mapping[str, Any]) -> list[Any]:
-    files = manifest.get("files") or {}
-    return [(files.get(name) or {}).get("sha256", name) for name in _PARAMS]
+def _inputs(record: RunRecord) -> tuple[object, ...]:
+    return record.seeds, *(record.files.get(name) for name in _PARAMS)
 
 
-def _data(path: Path) -> dict[str, Any]:
+def _record(path: Path) -> RunRecord | None:
     try:
-        return RunDirectory(path.parent).manifest().data
+        return RunDirectory(path.parent).manifest().facts
     except WheellegError:
-        return {}
+        return None
 
 
 def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:

@@ -45,8 +45,8 @@ def render_page(page: Page) -> str:
         # Make invisible control characters of a text visible, and replace characters that HTML cannot contain.
         finalize=lambda value: printable(value) if type(value) is str else value,
     )
-    # Only the style sheet and SVG from `inline_svg.clean` may enter the page without escaping.
-    environment.filters["drawn"] = Markup
+    # Only the style sheet and ``MARK`` may enter the page without escaping.
+    environment.filters["trusted"] = Markup
     style = environment.get_template("report.css").render()
     return environment.get_template("report.html").render(page=page, style=style, mark=MARK)
 
@@ -91,7 +91,7 @@ def _is_own(subject: Subject, path: Path) -> bool:
     if path.is_symlink() or not path.is_file() or not path.resolve().is_relative_to(folder):
         return False
     name = path.resolve().relative_to(folder).as_posix()
-    entries = [entry["files"][name] for entry in subject.additions(KIND) if name in entry.get("files", {})]
+    entries = [entry.files[name] for entry in subject.additions(KIND) if name in entry.files]
     return bool(entries) and entries[-1]["sha256"] == sha256(path)
 
 
@@ -120,7 +120,7 @@ def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
 
 
 def _not_finite(subject: Subject) -> list[str]:
-    trained = _or(lambda: non_finite_note(subject.manifest.get("results") or {}), None)
+    trained = _or(lambda: non_finite_note(subject.manifest.results), None)
     played = _or(lambda: non_finite_note(headline.played(subject)), None)
     return [f"{what}: {note}" for what, note in (("The training", trained), ("The last rollout", played)) if note]
 

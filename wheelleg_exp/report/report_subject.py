@@ -6,14 +6,15 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import read_json, read_lines, read_yaml
 from wheelleg_exp.packages import own_folders
-from wheelleg_exp.plain_data import json_value
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.iteration_log import read_line
+from wheelleg_exp.run.records import Addition, RunRecord
 from wheelleg_exp.run.run_config import OVERRIDES, PARTS
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_list import effective_status
@@ -21,6 +22,7 @@ from wheelleg_exp.run.run_list import effective_status
 AGENT = "agent"
 KIND = "report"  # A run's manifest lists each report about the run as an entry of the kind ``report``.
 _FIGURES, _SETTINGS = "figures.json", "config.yaml"
+_NO_RECORD = RunRecord(status=AGENT, task="", started="", results={}, resumes=(), additions=(), files={})
 
 T = TypeVar("T")
 
@@ -39,14 +41,16 @@ class Subject:
 
     path: Path
     run: RunDirectory | None  # ``run`` is None for a zero or random agent's run, which has no manifest.
-    manifest: dict[str, Any] = field(default_factory=dict)
+    manifest: RunRecord = _NO_RECORD
     status: str = AGENT  # The status ``agent`` means a zero or random agent's run.
-    config: dict[str, Any] = field(default_factory=dict)  # ``config`` has the run's sections ``env`` and ``agent``.
+    config: Mapping[str, Any] = field(default_factory=dict)  # ``config`` has the run's sections ``env`` and ``agent``.
     overrides: list[str] | None = None  # None means that the user's Hydra overrides are unknown.
-    choices: dict[str, Any] = field(default_factory=dict)  # ``choices`` maps Hydra config groups to selected options.
+    choices: Mapping[str, object] = field(
+        default_factory=dict
+    )  # ``choices`` maps Hydra config groups to selected options.
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
-    agent_figures: dict[str, Any] = field(default_factory=dict)
+    agent_figures: Mapping[str, object] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)  # ``problems`` contains sentences about unreadable files.
 
     @property
@@ -57,7 +61,7 @@ class Subject:
     @property
     def task(self) -> str:
         """The name of the task."""
-        return str(self.manifest.get("task") or self.path.parent.name)
+        return self.manifest.task or self.path.parent.name
 
     @property
     def step_s(self) -> float | None:
@@ -74,9 +78,9 @@ class Subject:
         series = self.scalars.get(name)
         return series.values[-1] if series and series.values else None
 
-    def additions(self, kind: str) -> list[dict[str, Any]]:
+    def additions(self, kind: str) -> list[Addition]:
         """Return the manifest's entries of one kind, oldest first, such as all ``play`` commands on the run."""
-        return [entry for entry in self.manifest.get("additions", []) if entry.get("kind") == kind]
+        return [entry for entry in self.manifest.additions if entry.kind == kind]
 
     def file(self, name: str) -> Path | None:
         """Return the path of a file in the run directory; None if the file is missing or links out of the directory."""
@@ -107,7 +111,7 @@ def open_subject(name: str | Path, root: Path) -> Subject:
 
 def _training(run: RunDirectory) -> Subject:
     manifest = run.manifest()
-    subject = Subject(run.path, run, manifest.data, effective_status(manifest))
+    subject = Subject(run.path, run, manifest.facts, effective_status(manifest))
     nothing: dict[str, Any] = {}
     overrides = subject.file(OVERRIDES)
     typed = subject.tried(lambda: read_yaml(overrides) if overrides else None, None)
@@ -140,24 +144,24 @@ def _scalars(subject: Subject) -> dict[str, Series]:
     path = subject.file("iterations.jsonl")
     if path is None:
         return {}
-    rows: dict[int, Mapping[str, Any]] = {}
+    rows: dict[int, Mapping[str, object]] = {}
     broken = 0
     for line in read_lines(path):
-        try:
-            entry = json_value(line)
-            rows[int(entry["iteration"])] = dict(entry["scalars"])
-        except (ValueError, TypeError, KeyError, OverflowError):
+        entry = read_line(line)
+        if entry is None:
             broken += 1
+        else:
+            rows[entry["iteration"]] = entry["scalars"]
     if broken:
         subject.problems.append(f"{broken} of the lines of iterations.jsonl cannot be read and are left out")
     found: dict[str, list[tuple[int, float]]] = {}
     for iteration in sorted(rows):
         for name, value in rows[iteration].items():
             if is_number(value):
-                found.setdefault(str(name), []).append((iteration, float(value)))
+                found.setdefault(name, []).append((iteration, float(value)))
     return {name: Series(*zip(*points, strict=True)) for name, points in found.items()}
 
 
-def is_number(value: Any) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Return whether ``value`` is a number and not a boolean."""
     return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -22,8 +22,8 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.inspection.plot_style import Panel, colour
 from wheelleg_exp.inspection.training_curves import over_iterations
 from wheelleg_exp.report.headline import done, played
-from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Block, Cell, Code, Note, Page, Table
+from wheelleg_exp.report.plot_images import drawn
 from wheelleg_exp.report.report_page import section
 from wheelleg_exp.report.report_subject import AGENT, Subject, open_subject
 from wheelleg_exp.report.training_section import picked
@@ -152,7 +152,7 @@ def curves(groups: Sequence[Group]) -> list[Block]:
     """Return the learning curves of all groups: means, and one standard deviation."""
     known = {key for group in groups for run in group.runs for key in run.scalars}
     panels = [_panel(key, groups) for key in _CURVES if key in known]
-    return [drawn(panels, "several")] if panels else [Note("None of them has finished an iteration.", "")]
+    return [drawn(panels)] if panels else [Note("None of them has finished an iteration.", "")]
 
 
 def _panel(key: str, groups: Sequence[Group]) -> Panel:
@@ -197,7 +197,7 @@ def members(groups: Sequence[Group]) -> list[Block]:
         [
             Cell(run.id, code=True),
             Cell(group.label),
-            Cell(" ".join(str(seed) for seed in run.manifest.get("seeds") or []), number=True),
+            Cell(" ".join(map(str, run.manifest.seeds)), number=True),
             Cell(run.status),
             Cell(str(done(run)), number=True),
             *(Cell(_spread(_last(run, key)), number=True) for key in (_RETURN, _LENGTH)),

@@ -11,8 +11,8 @@ from typing import Any
 
 from wheelleg_exp.definitions import curve_title
 from wheelleg_exp.inspection import training_curves
-from wheelleg_exp.report.inline_svg import drawn
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, More, Note, Table
+from wheelleg_exp.report.plot_images import drawn
 from wheelleg_exp.report.report_subject import Subject
 from wheelleg_exp.report.value_format import brief, exact, number
 
@@ -26,13 +26,13 @@ def first_curves(subject: Subject) -> list[Block]:
     if not scalars:
         return [Note("No iteration was finished, so there are no learning curves.", "")]
     panels = [panel for panel in training_curves.learning(scalars) if panel.title in _FIRST]
-    return [drawn([*panels, *training_curves.endings(scalars)], "learning")]
+    return [drawn([*panels, *training_curves.endings(scalars)])]
 
 
 def more_curves(subject: Subject) -> list[Block]:
     """Return the remaining curves, collapsed."""
     panels = [panel for panel in training_curves.learning(thinned(subject)) if panel.title not in _FIRST]
-    return [More("Tracking errors, losses, exploration and speed", [drawn(panels, "optimiser")])] if panels else []
+    return [More("Tracking errors, losses, exploration and speed", [drawn(panels)])] if panels else []
 
 
 def thinned(subject: Subject) -> dict[str, tuple[list[int], list[float]]]:
@@ -82,7 +82,7 @@ def reward_blocks(subject: Subject) -> list[Block]:
     title = "Reward terms, mean over the last tenth of the training" if total else "Reward terms"
     table = Table(title, columns, shown)
     panels = training_curves.reward_course(thinned(subject))[:1]
-    first: Block = Beside([drawn(panels, "rewards"), table]) if panels else table
+    first: Block = Beside([drawn(panels), table]) if panels else table
     columns = ["Term", "Computed by", "Parameters"]
     listed = Table("Terms and their parameters", columns, parameters, titled=False)
     return [first, More("Parameters of each term", [listed])]

@@ -5,13 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_lines
 from wheelleg_exp.plain_data import json_value
+from wheelleg_exp.run.records import read_record
 
 # Scalars with the prefix ``Perf/`` are wall-clock times, which differ even between two equal runs.
 _TIMES = "Perf/"
+
+
+class _DigestFormat(TypedDict, total=False):
+    digest_format: int
+
+
+class LogLine(_DigestFormat):
+    """One line of ``iterations.jsonl``: ``digests`` maps names to hashes, computed as in ``digest_format``."""
+
+    iteration: int
+    digests: Mapping[str, str]
+    scalars: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -19,11 +33,11 @@ class Line:
     """One iteration of ``iterations.jsonl``."""
 
     iteration: int
-    digests: dict[str, str]  # ``digests`` maps names to hashes.
-    scalars: dict[str, Any]  # The scalars of the training iteration by name, without wall-clock times.
-    digest_format: int | None = None  # ``digest_format`` is the version of the hash algorithm of ``digests``.
-    content: Mapping[str, Any] = field(default_factory=dict, repr=False)  # The whole log line.
-    end: int = 0  # ``end`` is the byte offset in ``iterations.jsonl`` at which the iteration's line ends.
+    digests: Mapping[str, str]  # ``digests`` maps names to hashes.
+    scalars: Mapping[str, object]  # The scalars of the training iteration by name, without wall-clock times.
+    digest_format: int | None  # ``digest_format`` is the version of the hash algorithm of ``digests``.
+    content: LogLine = field(repr=False)  # The whole log line.
+    end: int  # ``end`` is the byte offset in ``iterations.jsonl`` at which the iteration's line ends.
 
 
 @dataclass(frozen=True)
@@ -64,18 +78,17 @@ def seconds_of(lines: Iterable[Mapping[str, Any]]) -> float:
     return float(sum(value for value in times if isinstance(value, (int, float))))
 
 
-def _parse(raw: bytes, end: int) -> Line | None:
+def read_line(raw: bytes) -> LogLine | None:
+    """Return one line of an iteration log; None for a damaged line."""
     try:
-        value = json_value(raw)
-        if type(value["iteration"]) is not int:
-            return None
-        return Line(
-            iteration=value["iteration"],
-            digests={str(name): str(digest) for name, digest in value["digests"].items()},
-            scalars={str(k): v for k, v in value["scalars"].items() if not k.startswith(_TIMES)},
-            digest_format=value.get("digest_format"),
-            content=value,
-            end=end,
-        )
-    except (ValueError, KeyError, TypeError, AttributeError):
+        return read_record(LogLine, json_value(raw), "broken line", "iterations.jsonl")
+    except (ValueError, RunDirectoryError):
         return None
+
+
+def _parse(raw: bytes, end: int) -> Line | None:
+    content = read_line(raw)
+    if content is None:
+        return None
+    scalars = {name: value for name, value in content["scalars"].items() if not name.startswith(_TIMES)}
+    return Line(content["iteration"], content["digests"], scalars, content.get("digest_format"), content, end)

@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -30,86 +30,21 @@ from wheelleg_exp.run.file_inventory import (
     is_inside,
     record_files,
 )
+from wheelleg_exp.run.records import RunRecord, read_record
 from wheelleg_exp.run.run_lock import MANIFEST_LOCK, RunLock, this_process
 from wheelleg_exp.run.timestamps import parse_utc, utc_now, utc_text
 from wheelleg_exp.user_exceptions import is_interrupt
 
-
-@dataclass(frozen=True)
-class Optional:
-    """The type of a manifest key that may be missing or null, and otherwise has a value of the type ``kind``."""
-
-    kind: Any
-
-
-def mistyped_keys(value: Any, kind: Any, path: str = "") -> Iterator[str]:
-    """Yield the dotted path of each key in ``value`` whose value does not have the type in ``kind``.
-
-    ``kind`` is a type, ``[kind]`` for a list, ``{str: kind}`` for a mapping with any keys, or a mapping from keys to
-    kinds. Keys of ``value`` that ``kind`` does not contain can have values of any type.
-    """
-    if isinstance(kind, Optional):
-        if value is not None:
-            yield from mistyped_keys(value, kind.kind, path)
-    elif isinstance(kind, list) and isinstance(value, list):
-        for index, item in enumerate(value):
-            yield from mistyped_keys(item, kind[0], f"{path}[{index}]")
-    elif isinstance(kind, dict) and isinstance(value, dict):
-        kinds = dict.fromkeys(value, kind[str]) if str in kind else kind
-        for key, inner in kinds.items():
-            yield from mistyped_keys(value.get(key), inner, f"{path}.{key}" if path else str(key))
-    elif not isinstance(kind, type) or not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        yield path
-
-
 FORMAT = 2
 FORMAT_WITH_VALUE_DIGEST = 1  # In manifests of format 1, ``sha256`` is a hash of the values, not of the file's bytes.
 STATUSES = ("running", "finished", "interrupted", "failed")
-
-_FILES = {str: {"sha256": str, "size": int}}
-WRITER = {"pid": Optional(int), "host": Optional(str), "boot_id": Optional(str), "start_ticks": Optional(int)}
-_PROCESS: dict[Any, Any] = {
-    "error": Optional({"type": Optional(str), "message": Optional(str)}),
-    "ended": Optional(str),
-    "process": Optional(WRITER),
-    "failure": Optional({"key": Optional(str), "iteration": int, "message": str}),
-    **dict.fromkeys(("versions", "hardware", "threads"), Optional(dict)),
-    "environment_variables": Optional({str: str}),
-}
-_RESULTS = {"non_finite": Optional({str: int})}
-_RESUME = {
-    "when": Optional(str),
-    "iteration": Optional(int),
-    **dict.fromkeys(("command", "overrides", "why", "notes"), Optional([str])),
-    **dict.fromkeys(("changes", "differences"), Optional([dict])),
-    "proved": Optional(list),
-    "before": Optional({**_PROCESS, "files": Optional(_FILES)}),
-    "files_to_write": Optional({str: str}),
-}
-_MANIFEST = {
-    **_PROCESS,
-    "status": str,
-    "task": str,
-    "started": str,
-    "results": _RESULTS,
-    "resumes": [_RESUME],
-    "additions": [{"kind": Optional(str), "when": str, "files": _FILES, "results": Optional(_RESULTS)}],
-    "files": _FILES,
-    **dict.fromkeys(("id", "working_directory", "recording_unfinished", "replay_of", "stock"), Optional(str)),
-    **dict.fromkeys(("command", "config_dirs"), Optional([str])),
-    **dict.fromkeys(("source", "engine", "replay"), Optional(dict)),
-    "seeds": Optional(list),
-    **dict.fromkeys(("config_variables", "modules"), Optional({str: str})),
-    "ranks": Optional({"world_size": int, "backend": Optional(str), "seeds": Optional(list)}),
-}
-
 
 _DIGEST_KEY = "sha256"
 _NO_DIGEST = "0" * 64
 _END = re.compile(rb'"sha256": "([0-9a-f]{64})"\n\}\n\Z')
 
 
-def text_with_digest(document: Mapping[str, Any], *, broken: bool = False) -> str:
+def text_with_digest(document: Mapping[str, object], *, broken: bool = False) -> str:
     """Return a document as JSON text that ends with ``sha256``, a hash of the JSON text.
 
     To compute the hash, ``sha256`` is first set to 64 zeros. If ``broken`` is true, ``sha256`` stays 64 zeros, so that
@@ -130,16 +65,16 @@ def bytes_match_digest(data: bytes) -> bool:
     return hashlib.sha256(unsealed).hexdigest() == found.group(1).decode()
 
 
-def values_match_digest(document: Mapping[str, Any]) -> bool | None:
+def values_match_digest(document: Mapping[str, object]) -> bool | None:
     """Return whether a manifest in the old format 1 matches its own hash; None if the manifest has no hash."""
     # Manifest format 1 hashes rounded numbers, so a change of a number's last digits is not detected.
     if _DIGEST_KEY not in document:
         return None
     text = json.dumps(json_plain(_without_digest(document)), sort_keys=True, allow_nan=False)
-    return document[_DIGEST_KEY] == hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(text.encode()).hexdigest() == document[_DIGEST_KEY]
 
 
-def _without_digest(document: Mapping[str, Any]) -> dict[str, Any]:
+def _without_digest(document: Mapping[str, object]) -> dict[str, object]:
     return {key: value for key, value in document.items() if key != _DIGEST_KEY}
 
 
@@ -161,10 +96,14 @@ _PENDING = "files_to_write"
 
 @dataclass
 class Manifest:
-    """The manifest of one run directory; a change locks, reads, modifies, and replaces the manifest file."""
+    """The manifest of one run directory; a change locks, reads, modifies, and replaces the manifest file.
+
+    ``data`` is the JSON document with all keys, also those of other versions of the program; ``facts`` is its content.
+    """
 
     path: Path
-    data: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, Any]
+    facts: RunRecord
 
     @classmethod
     def begin(
@@ -174,15 +113,14 @@ class Manifest:
         task: str,
         seed: int | Sequence[int],
         command: Sequence[str],
-        threads: Mapping[str, Any],
+        threads: Mapping[str, object],
         now: datetime | None = None,
     ) -> Manifest:
         """Write a run's first manifest, with the status ``running`` and the files that exist in the run directory."""
         path = directory / MANIFEST_NAME
         if path.exists():
             raise RunDirectoryError(f"the folder '{directory}' already contains a run", expected="a new run directory")
-        manifest = cls(path)
-        manifest.data = {
+        data: dict[str, Any] = {
             "format": FORMAT,
             "id": directory.name,
             "task": task,
@@ -204,8 +142,8 @@ class Manifest:
             "additions": [],
             "files": inventory(directory),
         }
-        write_text(path, text_with_digest(manifest.data))
-        return manifest
+        write_text(path, text_with_digest(data))
+        return cls(path, data, _facts(path, data))
 
     @classmethod
     def load(cls, directory: os.PathLike[str]) -> Manifest:
@@ -220,24 +158,23 @@ class Manifest:
         if type(data["format"]) is not int or data["format"] not in (FORMAT_WITH_VALUE_DIGEST, FORMAT):
             expected = f"format {FORMAT_WITH_VALUE_DIGEST} or {FORMAT}; a newer wheelleg_exp may read it"
             raise RunDirectoryError(f"manifest format {data['format']!r} is unknown", where=where, expected=expected)
-        for wrong in mistyped_keys(data, _MANIFEST):
-            raise RunDirectoryError(f"broken manifest: the key '{wrong}' is missing or has a wrong value", where=where)
-        if data["status"] not in STATUSES:
-            message, nearest = f"status '{data['status']}' is not known", nearest_name(data["status"], STATUSES)
+        facts = _facts(path, data)
+        if facts.status not in STATUSES:
+            message, nearest = f"status '{facts.status}' is not known", nearest_name(facts.status, STATUSES)
             raise RunDirectoryError(message, where=where, expected="one of " + ", ".join(STATUSES), nearest=nearest)
-        ended = [data["ended"]] if data.get("ended") else []
-        for text in (data["started"], *ended, *(entry["when"] for entry in data["additions"])):
+        ended = [facts.ended] if facts.ended else []
+        for text in (facts.started, *ended, *(entry.when for entry in facts.additions)):
             try:
                 parse_utc(text)
             except ValueError:
                 raise RunDirectoryError(f"broken manifest: {text!r} is not a UTC time", where=where) from None
-        tables = [data["files"], *(entry["files"] for entry in data["additions"])]
-        for entry in data["resumes"]:
-            tables += [entry.get("files_to_write") or {}, (entry.get("before") or {}).get("files") or {}]
-        for name in (name for table in tables for name in table):
+        names = [*facts.files, *(name for entry in facts.additions for name in entry.files)]
+        for entry in facts.resumes:
+            names += [*entry.files_to_write, *(entry.before.files if entry.before else ())]
+        for name in names:
             if not is_inside(name):
                 raise RunDirectoryError(f"the manifest's file {name!r} is outside the run directory", where=where)
-        return cls(path, data)
+        return cls(path, data, facts)
 
     @property
     def directory(self) -> Path:
@@ -247,17 +184,17 @@ class Manifest:
     @property
     def status(self) -> str:
         """The run's status in the manifest, one of ``STATUSES``; a killed run keeps the status ``running``."""
-        return str(self.data["status"])
+        return self.facts.status
 
     @property
     def started(self) -> datetime:
         """The time at which the training run started."""
-        return parse_utc(self.data["started"])
+        return parse_utc(self.facts.started)
 
     @property
-    def results(self) -> dict[str, Any]:
+    def results(self) -> Mapping[str, Any]:
         """The results of the run."""
-        return self.data["results"]
+        return self.facts.results
 
     def matches_digest(self) -> bool | None:
         """Return whether the manifest matches its own hash; None if a manifest in the old format 1 has no hash."""
@@ -266,7 +203,7 @@ class Manifest:
         with for_people(self.path, "read"):
             return bytes_match_digest(self.path.read_bytes())
 
-    def snapshot_taken(self, source: Mapping[str, Any]) -> None:
+    def snapshot_taken(self, source: Mapping[str, object]) -> None:
         """Record that the snapshot is complete: the source state, and the digests of the present files."""
 
         def change(data: dict[str, Any]) -> None:
@@ -278,7 +215,7 @@ class Manifest:
     def finish(
         self,
         status: Ended,
-        results: Mapping[str, Any] | None = None,
+        results: Mapping[str, object] | None = None,
         error: BaseException | str | None = None,
         *,
         now: datetime | None = None,
@@ -303,10 +240,10 @@ class Manifest:
         self,
         *,
         command: Sequence[str],
-        threads: Mapping[str, Any],
+        threads: Mapping[str, object],
         now: datetime | None = None,
         texts: Mapping[str, str] | None = None,
-        **facts: Any,
+        **facts: object,
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
@@ -333,17 +270,17 @@ class Manifest:
 
     def write_pending(self) -> None:
         """Write the config files that the last resume changed, unless the resume has already written them."""
-        entry = self.data["resumes"][-1] if self.data["resumes"] else {}
-        if _PENDING in entry:
-            for name, text in entry[_PENDING].items():
-                write_text(self.directory / name, text)
+        texts = self.facts.resumes[-1].files_to_write if self.facts.resumes else {}
+        for name, text in texts.items():
+            write_text(self.directory / name, text)
+        if texts:
             self._update(lambda data: data["resumes"][-1].pop(_PENDING, None))
 
-    def amend_resume(self, **facts: Any) -> None:
+    def amend_resume(self, **facts: object) -> None:
         """Add facts to the entry that describes the run's last resume in the manifest."""
         self._update(lambda data: data["resumes"][-1].update(json_plain(facts)))
 
-    def record(self, **facts: Any) -> None:
+    def record(self, **facts: object) -> None:
         """Record facts about the whole run in the manifest, such as the id of the run that this run replays."""
         self._update(lambda data: data.update(facts))
 
@@ -351,29 +288,28 @@ class Manifest:
         self,
         kind: str,
         files: Iterable[Path] = (),
-        results: Mapping[str, Any] | None = None,
+        results: Mapping[str, object] | None = None,
         *,
         command: Sequence[str] | None = None,
-    ) -> dict[str, Any]:
-        """Record the files and results that a command adds to a run that has ended; return the new manifest entry.
+    ) -> None:
+        """Record the files and results that a command adds to a run that has ended.
 
         ``kind`` names the command that added the files: ``play``, ``evaluation``, or ``export``. Each path in ``files``
         must be below the run directory.
         """
         words = list(sys.argv if command is None else command)
-        entry: dict[str, Any] = {"kind": kind, "when": utc_text(utc_now()), "command": words}
+        entry: dict[str, object] = {"kind": kind, "when": utc_text(utc_now()), "command": words}
         entry |= {"files": record_files(self.directory, files), "results": dict(results or {})}
         self._update(lambda data: data["additions"].append(entry))
-        return self.data["additions"][-1]
 
     def recorded_files(self) -> dict[str, FileRecord]:
         """Return the newest size and hash of every file of the run, including files that later commands added."""
-        additions = sorted(self.data["additions"], key=lambda entry: parse_utc(entry["when"]))
-        ended = parse_utc(self.data["ended"]) if self.data.get("ended") else self.started
         # After a training, commands such as `wheelleg play` add sizes and hashes of new files to the manifest.
-        earlier = [entry["files"] for entry in additions if parse_utc(entry["when"]) <= ended]
-        later = [entry["files"] for entry in additions if parse_utc(entry["when"]) > ended]
-        return {name: record for table in (*earlier, self.data["files"], *later) for name, record in table.items()}
+        ended = parse_utc(self.facts.ended) if self.facts.ended else self.started
+        tables = [(parse_utc(entry.when), 0, entry.files) for entry in self.facts.additions]
+        tables.append((ended, 1, self.facts.files))
+        newest = sorted(tables, key=lambda table: table[:2])
+        return {name: record for *_, table in newest for name, record in table.items()}
 
     def matches_record(self, path: Path) -> bool:
         """Return whether a file of the run matches its newest hash in the manifest; True if there is no hash."""
@@ -385,20 +321,20 @@ class Manifest:
         return compare_files(self.directory, self.recorded_files())
 
     @contextlib.contextmanager
-    def finishing(self) -> Iterator[dict[str, Any]]:
+    def finishing(self) -> Iterator[dict[str, object]]:
         """At the end of the ``with`` block, record in the manifest that the run has ended.
 
         The context manager yields a dictionary, into which the ``with`` block writes the run's results. Ctrl-C sets the
         run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
         ``with`` block is raised again, even if the manifest cannot be written.
         """
-        results: dict[str, Any] = {}
+        results: dict[str, object] = {}
         with self.failing(results):
             yield results
         self.finish("finished", results)
 
     @contextlib.contextmanager
-    def failing(self, results: Mapping[str, Any] | None = None) -> Iterator[None]:
+    def failing(self, results: Mapping[str, object] | None = None) -> Iterator[None]:
         """If the ``with`` block raises an exception, record in the manifest that the run failed or was interrupted."""
         try:
             yield
@@ -421,3 +357,8 @@ class Manifest:
             text = text_with_digest(data, broken=was_changed)
             write_text(self.path, text)
             self.data = json.loads(text)
+            self.facts = _facts(self.path, self.data)
+
+
+def _facts(path: Path, data: object) -> RunRecord:
+    return read_record(RunRecord, data, "broken manifest", path)

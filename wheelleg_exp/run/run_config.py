@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from typing import Any
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_yaml, require_mapping, write_text
 from wheelleg_exp.plain_data import dump_yaml
-from wheelleg_exp.run.manifest import mistyped_keys
+from wheelleg_exp.run.records import read_record
 from wheelleg_exp.terms.key_syntax import is_override
 
 PARTS = ("env", "agent")
@@ -158,14 +159,19 @@ def require_overrides(words: Iterable[Any], path: Path) -> None:
             raise RunDirectoryError(f"{word!r} is not allowed as a recorded override", key=str(path), expected=expected)
 
 
-def recorded_robot(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the sha256 of each robot file of a run (``sources``) and of the robot's compiled model."""
+@dataclass(frozen=True, kw_only=True)
+class RobotIdentity:
+    """The content of ``asset/asset.json``: the sha256 of each robot file, and of the compiled model."""
+
+    source: str | None = None
+    sources: Mapping[str, str]
+    model_sha256: str
+
+
+def recorded_robot(directory: os.PathLike[str]) -> RobotIdentity:
+    """Return the sha256 of each robot file of a run, and of the robot's compiled model."""
     path = Path(directory) / ROBOT
-    identity = read_json(path)
-    for wrong in mistyped_keys(identity, {"model_sha256": str, "sources": {str: str}}):
-        message = f"'{wrong}' is missing or wrong"
-        raise RunDirectoryError(message, key=str(path), expected="the identity of the run's robot")
-    return dict(identity)
+    return read_record(RobotIdentity, read_json(path), "broken identity of the run's robot", path)
 
 
 def resolved(

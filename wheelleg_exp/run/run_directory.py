@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,11 +16,25 @@ from wheelleg_exp.config.schema import NAME, NAME_WORDS
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.files import for_people, read_json
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
-from wheelleg_exp.run.manifest import Manifest, Optional, mistyped_keys
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.records import read_record
 from wheelleg_exp.run.stock_policies import FOLDER, PREFIX, stock_names, stock_run
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 PIPELINE_NAME = "pipeline.json"
+
+
+@dataclass(frozen=True)
+class _Phase:
+    name: str
+    run: str | None = None
+
+
+@dataclass(frozen=True)
+class _Pipeline:
+    """The runs of the phases in ``pipeline.json``."""
+
+    phases: tuple[_Phase, ...] = ()
 
 
 def is_pipeline(folder: Path) -> bool:
@@ -32,14 +47,15 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
-    data, here = read_json(path), Path.cwd()
-    known = next(mistyped_keys(data, {"phases": [{"name": str, "run": Optional(str)}]}), None) is None
+    content, here, pipeline = read_json(path), Path.cwd(), _Pipeline()
+    with suppress(RunDirectoryError):
+        pipeline = read_record(_Pipeline, content, "broken pipeline", path)
     runs = []
-    for phase in data["phases"] if known else ():
-        if phase["run"]:
-            run = (path.parent / phase["run"]).resolve()
+    for phase in pipeline.phases:
+        if phase.run:
+            run = (path.parent / phase.run).resolve()
             run = run.relative_to(here) if run.is_relative_to(here) else run
-            runs.append(f"{run} (phase '{phase['name']}')")
+            runs.append(f"{run} (phase '{phase.name}')")
     expected = " or ".join(runs) if runs else "a run of the pipeline, after its first phase has started"
     return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 
@@ -60,7 +76,7 @@ class _PathInside:
     def __init__(self, name: str) -> None:
         self.name = name
 
-    def __get__(self, run: RunDirectory, kind: type) -> Path:
+    def __get__(self, run: RunDirectory, kind: type[RunDirectory]) -> Path:
         return run.path / self.name
 
 

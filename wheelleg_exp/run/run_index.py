@@ -9,14 +9,14 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json, write_text
-from wheelleg_exp.run.manifest import WRITER, Optional, mistyped_keys
+from wheelleg_exp.run.records import read_record
 from wheelleg_exp.run.run_directory import (
     PIPELINE_NAME,
     PIPELINES,
@@ -26,29 +26,88 @@ from wheelleg_exp.run.run_directory import (
     create_exclusively,
     is_pipeline,
 )
-from wheelleg_exp.run.run_lock import this_process
+from wheelleg_exp.run.run_lock import ProcessId, this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
 SWEEP_NAME, MULTIRUN_NAME = "sweep.json", "multirun.yaml"
 _FORMAT = 1
-_PHASE_TYPES: dict[str, Any] = dict.fromkeys(("name", "status", "digest"), str) | {"trained": int}
-_PHASE_TYPES |= {**dict.fromkeys(("why", "run", "init_from"), Optional(str))}
-_PHASE_TYPES |= {"gates": [{"iteration": int, "passed": bool}]}
-_PIPELINE_TYPES: dict[str, Any] = dict.fromkeys(("id", "name", "status", "root", "started"), str)
-_PIPELINE_TYPES |= {"why": Optional(str), "config_dirs": [str], "overrides": [str], "resumes": [dict]}
-_PIPELINE_TYPES |= {"config": {"phases": dict}, "phases": [_PHASE_TYPES]}
-
 JobStatus = Literal["waiting", "running", "finished", "failed", "interrupted"]
 SweepStatus = Literal["finished", "failed", "interrupted"]
 PipelineStatus = Literal["finished", "stopped", "failed", "interrupted"]
 
 
+class JobEntry(TypedDict):
+    """A job in ``sweep.json``: its number from 1, all its overrides, and only those that the sweep varies."""
+
+    number: int
+    overrides: list[str]
+    swept: list[str]
+    status: str
+    run: str | None
+    started: str | None
+    ended: str | None
+    results: Mapping[str, object]
+    error: object
+
+
+class _Reasons(TypedDict, total=False):
+    why: list[str]
+
+
+class GateEntry(_Reasons):
+    """The evaluation after ``iteration`` iterations that decides whether a phase has passed."""
+
+    iteration: int
+    passed: bool
+
+
+class _PhaseTimes(TypedDict, total=False):
+    started: str | None
+    ended: str | None
+
+
+class PhaseEntry(_PhaseTimes):
+    """A phase in ``pipeline.json``.
+
+    ``why`` is the reason to continue or to stop after the phase, ``digest`` a hash of the phase's config, and
+    ``trained`` the number of finished iterations. ``run`` and ``init_from`` are relative to the pipeline's folder.
+    """
+
+    name: str
+    status: str
+    digest: str
+    trained: int
+    why: str | None
+    run: str | None
+    init_from: str | None
+    gates: list[GateEntry]
+
+
+class _PipelineConfig(TypedDict):
+    phases: Mapping[str, object]
+
+
+class _PipelineData(TypedDict):
+    id: str
+    name: str
+    status: str
+    root: str
+    started: str
+    why: str | None
+    config_dirs: list[str]
+    overrides: list[str]
+    resumes: list[Mapping[str, object]]
+    config: _PipelineConfig
+    phases: list[PhaseEntry]
+    process: ProcessId | None
+
+
 @dataclass
 class _RunIndex:
-    """One index file: its absolute folder, and its content."""
+    """One index file: its absolute folder, and its JSON document."""
 
     folder: Path
-    data: dict[str, Any] = field(default_factory=dict)
+    data: dict[str, Any]
 
     KIND: ClassVar[str]
     ENTRIES: ClassVar[str]
@@ -56,23 +115,23 @@ class _RunIndex:
     SECTION: ClassVar[str]
 
     @classmethod
-    def _create(
-        cls, root: str | Path, command: Sequence[str], moment: datetime | None, entries: list[dict[str, Any]]
-    ) -> Self:
-        """Create the folder ``<root>/<section>/<time>``, and set the keys of ``data`` that all index files have."""
+    def _create(cls, below: str | Path, command: Sequence[str], moment: datetime | None, **more: object) -> Self:
+        """Create the folder ``<below>/<section>/<time>`` and the index file; ``more`` are keys of one kind of index."""
         moment = moment or utc_now()
-        index = cls(create_exclusively(Path(root) / cls.SECTION, folder_text(moment)))
-        index.data = {
+        folder = create_exclusively(Path(below) / cls.SECTION, folder_text(moment))
+        data = {
             "format": _FORMAT,
-            "id": index.folder.name,
+            "id": folder.name,
             "status": "running",
             "command": list(command),
             "working_directory": str(Path.cwd()),
             "started": utc_text(moment),
             "ended": None,
             "process": this_process(),
-            cls.ENTRIES: entries,
+            **more,
         }
+        index = cls(folder, data)
+        index.write()
         return index
 
     @classmethod
@@ -93,7 +152,7 @@ class _RunIndex:
         """The index file."""
         return self.folder / self.FILE
 
-    def run_of(self, entry: Mapping[str, Any]) -> Path | None:
+    def run_of(self, entry: JobEntry | PhaseEntry) -> Path | None:
         """Return the absolute run directory of a sweep job or pipeline phase; None if its training has not started."""
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
@@ -111,9 +170,8 @@ class SweepIndex(_RunIndex):
 
     The index file ``sweep.json`` contains the sweep's command, start and end time, process, launcher, status, and jobs.
     A sweep's ``status`` is ``running``, ``finished``, ``interrupted``, or ``failed`` if a job did not finish. A job's
-    ``number`` counts from 1. A job's ``overrides`` are all of its config overrides, and ``swept`` contains only those
-    that the sweep varies. A job's ``run`` is its run directory, as a path relative to the sweep's folder. A job that
-    never started has the status ``waiting``.
+    ``run`` is its run directory, as a path relative to the sweep's folder. A job that never started has the status
+    ``waiting``.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -124,7 +182,7 @@ class SweepIndex(_RunIndex):
         root: str | Path,
         *,
         command: Sequence[str],
-        launcher: Mapping[str, Any],
+        launcher: Mapping[str, object],
         jobs: Sequence[tuple[Sequence[str], Sequence[str]]],
         now: datetime | None = None,
     ) -> SweepIndex:
@@ -132,19 +190,27 @@ class SweepIndex(_RunIndex):
 
         ``jobs`` contains two lists per job: all of its config overrides, and only the overrides that the sweep varies.
         """
-        entries: list[dict[str, Any]] = []
-        for number, (overrides, swept) in enumerate(jobs, 1):
-            entry = {"number": number, "overrides": list(overrides), "swept": list(swept), "status": "waiting"}
-            entries.append({**entry, "run": None, "started": None, "ended": None, "results": {}, "error": None})
-        index = cls._create(root, command, now, entries)
-        index.data["launcher"] = dict(launcher)
-        index.write()
-        return index
+        entries = [
+            JobEntry(
+                number=number,
+                overrides=list(overrides),
+                swept=list(swept),
+                status="waiting",
+                run=None,
+                started=None,
+                ended=None,
+                results={},
+                error=None,
+            )
+            for number, (overrides, swept) in enumerate(jobs, 1)
+        ]
+        return cls._create(root, command, now, jobs=entries, launcher=dict(launcher))
 
     @property
-    def jobs(self) -> list[dict[str, Any]]:
+    def jobs(self) -> list[JobEntry]:
         """The jobs in order."""
-        return self.data["jobs"]
+        found: list[JobEntry] = self.data["jobs"]
+        return found
 
     def write_multirun(self, text: str) -> None:
         """Write the config that Hydra composed for the whole sweep."""
@@ -158,7 +224,7 @@ class SweepIndex(_RunIndex):
         """Record the run directory of a sweep job in the sweep's index."""
         self._update_job(number, run=self.relative(run))
 
-    def job_ended(self, number: int, status: JobStatus, results: Mapping[str, Any], error: Any = None) -> None:
+    def job_ended(self, number: int, status: JobStatus, results: Mapping[str, object], error: object = None) -> None:
         """Record how a job ended."""
         self._update_job(number, status=status, ended=utc_text(utc_now()), results=dict(results), error=error)
 
@@ -166,12 +232,12 @@ class SweepIndex(_RunIndex):
         """Record how the sweep ended; a job without a recorded end counts as interrupted."""
         for job in self.jobs:
             if job["status"] == "running":
-                job |= {"status": "interrupted", "ended": utc_text(utc_now())}
+                job["status"], job["ended"] = "interrupted", utc_text(utc_now())
         self.data |= {"status": status, "ended": utc_text(utc_now())}
         self.write()
 
-    def _update_job(self, number: int, **changes: Any) -> None:
-        self.jobs[number - 1].update(changes)
+    def _update_job(self, number: int, **changes: object) -> None:
+        self.data["jobs"][number - 1].update(changes)
         self.write()
 
 
@@ -180,10 +246,7 @@ class PipelineIndex(_RunIndex):
 
     The index file ``pipeline.json`` contains the pipeline's command, config, overrides for all phases, and resumes. A
     pipeline's ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not
-    pass. A phase's ``why`` is the reason to continue or to stop the pipeline after the phase. A phase's ``digest`` is a
-    hash of the phase's config. The run directories ``run`` and ``init_from`` of a pipeline phase are paths relative to
-    the pipeline's folder. ``trained`` is the number of finished training iterations of a pipeline phase. ``gates`` are
-    the evaluation results that decide whether a pipeline phase passed.
+    pass.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
@@ -193,7 +256,7 @@ class PipelineIndex(_RunIndex):
         cls,
         root: str | Path,
         *,
-        config: Mapping[str, Any],
+        config: Mapping[str, object],
         overrides: Sequence[str],
         config_dirs: Sequence[Path],
         command: Sequence[str],
@@ -204,36 +267,41 @@ class PipelineIndex(_RunIndex):
         ``config`` is the pipeline's config as JSON values. ``overrides`` apply to all training phases. ``digests`` maps
         the name of each training phase to a hash of the phase's config.
         """
-        phases: list[dict[str, Any]] = []
-        for name, digest in digests.items():
-            entry = {"name": name, "status": "waiting", "why": None, "digest": digest, "run": None, "init_from": None}
-            phases.append({**entry, "trained": 0, "gates": [], "started": None, "ended": None})
-        index = cls._create(root, command, None, phases)
-        index.data |= {
-            "name": config["name"],
-            "why": None,
-            "config_dirs": [str(folder) for folder in config_dirs],
-            "root": os.path.relpath(Path(root).resolve(), index.folder),
-            "overrides": list(overrides),
-            "resumes": [],
-            "config": json_plain(config),
-        }
-        index.write()
-        return index
+        phases = [
+            PhaseEntry(
+                name=name,
+                status="waiting",
+                why=None,
+                digest=digest,
+                run=None,
+                init_from=None,
+                trained=0,
+                gates=[],
+                started=None,
+                ended=None,
+            )
+            for name, digest in digests.items()
+        ]
+        return cls._create(
+            root,
+            command,
+            None,
+            phases=phases,
+            name=config["name"],
+            why=None,
+            config_dirs=[str(folder) for folder in config_dirs],
+            root="../..",
+            overrides=list(overrides),
+            resumes=[],
+            config=json_plain(config),
+        )
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
         """Read a pipeline's index file from a folder, and check the type of each value in the index file."""
         index = super().load(folder)
-        where, phases = str(index.path), [phase if isinstance(phase, dict) else {} for phase in index.phases]
-        missing = [key for key in _PIPELINE_TYPES if key not in index.data]
-        missing += [f"phases.{key}" for phase in phases for key in _PHASE_TYPES if key not in phase]
-        if missing:
-            message, expected = f"the key '{missing[0]}' is missing", ", ".join(_PIPELINE_TYPES)
-            raise RunDirectoryError(f"pipeline.json is damaged: {message}", where=where, expected=expected)
-        for key in mistyped_keys(index.data, {**_PIPELINE_TYPES, "process": Optional(WRITER)}):
-            raise RunDirectoryError(f"pipeline.json is damaged: the key '{key}' is missing or wrong", where=where)
-        for path in (index.root, *filter(None, map(index.run_of, phases))):
+        read_record(_PipelineData, index.data, "pipeline.json is damaged", index.path)
+        for path in (index.root, *filter(None, map(index.run_of, index.phases))):
             index.require_inside(path)
         return index
 
@@ -250,25 +318,28 @@ class PipelineIndex(_RunIndex):
         return Path(os.path.normpath(self.folder / self.data["root"]))
 
     @property
-    def phases(self) -> list[dict[str, Any]]:
+    def phases(self) -> list[PhaseEntry]:
         """The phases in order."""
-        return self.data["phases"]
+        found: list[PhaseEntry] = self.data["phases"]
+        return found
 
-    def done(self, phase: Mapping[str, Any]) -> int:
+    def done(self, phase: PhaseEntry) -> int:
         """Return the number of finished training iterations of a pipeline phase, even after an interruption."""
         run, last = self.run_of(phase), 0
         if run is not None:
             with suppress(RunDirectoryError):
                 last = checkpoint_iteration(RunDirectory(run).latest_checkpoint()) + 1
-        return max(int(phase["trained"]), last)
+        return max(phase["trained"], last)
 
-    def update(self, phase: Mapping[str, Any], **changes: Any) -> None:
+    def update(self, phase: PhaseEntry, **changes: object) -> None:
         """Write the changed values of one pipeline phase into the pipeline's index file."""
-        number = next(i for i, other in enumerate(self.phases) if other["name"] == phase["name"])
-        self.phases[number].update(json_plain(changes))
+        entry = next(other for other in self.data["phases"] if other["name"] == phase["name"])
+        entry.update(json_plain(changes))
         self.write()
 
-    def restart(self, command: Sequence[str], changes: Sequence[Mapping[str, Any]], config: Mapping[str, Any]) -> None:
+    def restart(
+        self, command: Sequence[str], changes: Sequence[Mapping[str, object]], config: Mapping[str, object]
+    ) -> None:
         """Record that the running process resumes the pipeline, and record which pipeline settings changed."""
         before = {key: self.data[key] for key in ("status", "why", "ended", "process")}
         entry = {"when": utc_text(utc_now()), "command": list(command), "changes": list(changes), "before": before}

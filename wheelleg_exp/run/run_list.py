@@ -12,14 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.files import open_file, read_text
-from wheelleg_exp.plain_data import json_value
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.iteration_log import read_log, seconds_of
-from wheelleg_exp.run.manifest import Manifest, mistyped_keys
+from wheelleg_exp.run.iteration_log import LogLine, read_line, read_log, seconds_of
+from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.records import Failure
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import CHECKPOINT, NEEDED, SWEEPS, run_folders, start_moment, task_folders
 from wheelleg_exp.run.run_index import SWEEP_NAME, SweepIndex
@@ -50,9 +49,9 @@ class RunSummary:
     started: datetime
     ended: str | None = None
     seeds: tuple[int, ...] = ()
-    results: dict[str, Any] = field(default_factory=dict)
+    results: Mapping[str, object] = field(default_factory=dict)
     problem: str | None = None  # ``problem`` says why a run failed or is damaged, or counts episodes with NaN or inf.
-    failure: dict[str, Any] | None = None  # The error message, config key, and training iteration of a failed run.
+    failure: Failure | None = None  # The error message, config key, and training iteration of a failed run.
     name: str | None = None
     iterations: int | None = None  # The number of finished iterations.
     max_iterations: int | None = None
@@ -61,8 +60,8 @@ class RunSummary:
     resumes: int = 0
     # ``figures`` maps the name of each metric in ``FIGURES`` to the metric's last logged value.
     figures: dict[str, float] = field(default_factory=dict)
-    played: dict[str, Any] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
-    evaluated: dict[str, Any] = field(default_factory=dict)  # The results of the run's last evaluation.
+    played: Mapping[str, object] = field(default_factory=dict)  # The results of the run's last ``wheelleg play``.
+    evaluated: Mapping[str, object] = field(default_factory=dict)  # The results of the run's last evaluation.
     bundles: tuple[str, ...] = ()  # The folders of the run's exported deployment bundles.
     seconds: float | None = None  # The training time up to the last iteration, without pauses before a resume, s.
     bytes: int | None = None  # The size of all files directly in the run directory, without subfolders, in bytes.
@@ -84,11 +83,11 @@ def summarize(folder: Path) -> RunSummary:
         manifest = Manifest.load(folder)
     except RunDirectoryError as error:
         return RunSummary(folder.name, folder.parent.name, DAMAGED, folder, start_moment(folder), problem=str(error))
-    data, status = manifest.data, effective_status(manifest)
+    facts, status = manifest.facts, effective_status(manifest)
     checkpoint, size = _checkpoint_and_size(folder)
     last = _last_line(folder / "iterations.jsonl")
-    done, scalars = data["results"].get("iterations"), data["results"]
-    done = done if isinstance(done, int) else None
+    recorded, scalars = facts.results.get("iterations"), facts.results
+    done = recorded if isinstance(recorded, int) else None
     if last is not None:
         done, scalars = last["iteration"] + 1, last["scalars"]
     total = None
@@ -96,47 +95,44 @@ def summarize(folder: Path) -> RunSummary:
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
         total = int(written[1]) if written else None
     match = _FOLDER.fullmatch(folder.name)
-    results: dict[str, dict[str, Any]] = {}  # Map each command, such as ``play``, to its newest results.
-    bundles = []
-    for entry in data["additions"]:
-        kind, found = str(entry.get("kind")), entry.get("results")
-        results[kind] = found if isinstance(found, dict) else {}
-        bundles += [str(results[kind]["folder"])] if kind == "export" and "folder" in results[kind] else []
+    newest = {entry.kind: entry.results for entry in facts.additions}  # by command, such as ``play``
+    exports = [entry.results for entry in facts.additions if entry.kind == "export"]
     return RunSummary(
         id=folder.name,
-        task=data["task"],
+        task=facts.task,
         status=status,
         path=folder,
         started=manifest.started,
-        ended=data.get("ended"),
-        seeds=tuple(data.get("seeds") or ()),
-        results=manifest.results,
-        problem=(data.get("error") or {}).get("message") or non_finite_note(manifest.results),
-        failure=data.get("failure"),
+        ended=facts.ended,
+        seeds=facts.seeds,
+        results=facts.results,
+        problem=(facts.error and facts.error.message) or non_finite_note(facts.results),
+        failure=facts.failure,
         name=match["name"] if match else None,
         iterations=done,
         max_iterations=total,
         checkpoint=checkpoint,
         resumable=_resumable(folder, status, checkpoint, done, total),
-        resumes=len(data["resumes"]),
-        figures={name: scalars[key] for name, key in FIGURES.items() if isinstance(scalars.get(key), (int, float))},
-        played=results.get("play", {}),
-        evaluated=results.get("evaluation", {}),
-        bundles=tuple(bundles),
+        resumes=len(facts.resumes),
+        figures={name: v for name, key in FIGURES.items() if isinstance(v := scalars.get(key), (int, float))},
+        played=newest.get("play", {}),
+        evaluated=newest.get("evaluation", {}),
+        bundles=tuple(str(results["folder"]) for results in exports if "folder" in results),
         seconds=_seconds(folder, manifest, status),
         bytes=size,
     )
 
 
-def non_finite_note(results: Mapping[str, Any]) -> str | None:
+def non_finite_note(results: Mapping[str, object]) -> str | None:
     """Return a line with the number of episodes that NaN or inf ended; None if NaN and inf ended no episode."""
-    listed = ", ".join(f"{key} {count}" for key, count in (results.get("non_finite") or {}).items())
+    counts = results.get("non_finite")
+    listed = ", ".join(f"{key} {count}" for key, count in counts.items()) if isinstance(counts, Mapping) else ""
     return f"episodes that ended because a number was not finite: {listed}" if listed else None
 
 
 def effective_status(manifest: Manifest) -> str:
     """Return the status in the manifest, or ``crashed`` if the status is ``running`` but the process has ended."""
-    if manifest.status == "running" and is_alive(manifest.data.get("process") or {}) is False:
+    if manifest.status == "running" and is_alive(manifest.facts.process) is False:
         return CRASHED
     return manifest.status
 
@@ -165,7 +161,7 @@ def _sweep(folder: Path) -> SweepSummary:
     moment = folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
     try:
         data = SweepIndex.load(folder).data
-        crashed = data["status"] == "running" and is_alive(data.get("process") or {}) is False
+        crashed = data["status"] == "running" and is_alive(data.get("process")) is False
         jobs = dict(Counter(job["status"] for job in data["jobs"]))
         swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
         status = CRASHED if crashed else data["status"]
@@ -200,7 +196,7 @@ def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
     return newest, size
 
 
-def _last_line(path: Path) -> dict[str, Any] | None:
+def _last_line(path: Path) -> LogLine | None:
     """Return the last complete line of ``iterations.jsonl`` without reading the whole file."""
     try:
         with open_file(path) as file:
@@ -208,24 +204,17 @@ def _last_line(path: Path) -> dict[str, Any] | None:
             lines = file.read().split(b"\n")[:-1]  # The last log line is incomplete if it has no newline.
     except RunDirectoryError:
         return None
-    for line in reversed(lines):
-        try:
-            value = json_value(line)
-        except ValueError:
-            continue
-        if next(mistyped_keys(value, {"iteration": int, "scalars": dict}), None) is None:
-            return value
-    return None
+    return next((found for line in reversed(lines) if (found := read_line(line)) is not None), None)
 
 
 def _seconds(folder: Path, manifest: Manifest, status: str) -> float | None:
-    if manifest.data["resumes"]:  # The manifest does not record the time at which a killed process ended.
+    if manifest.facts.resumes:  # The manifest does not record the time at which a killed process ended.
         try:
             return seconds_of(line.content for line in read_log(folder / "iterations.jsonl").lines)
         except RunDirectoryError:
             return None
-    if manifest.data.get("ended") is not None:
-        moment = parse_utc(manifest.data["ended"])
+    if manifest.facts.ended is not None:
+        moment = parse_utc(manifest.facts.ended)
     elif status == "running":
         moment = utc_now()
     else:
@@ -240,7 +229,7 @@ _CONDITION = re.compile(r"(?P<key>[^=!<>]+)(?P<sign>!=|<=|>=|=|<|>)(?P<value>.*)
 _ORDERED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
 
 # The options --filter and --sort accept the columns in _COLUMNS and the keys of a run's config.
-_COLUMNS: dict[str, Callable[[RunSummary], Any]] = {
+_COLUMNS: dict[str, Callable[[RunSummary], object]] = {
     **{name: operator.attrgetter(name) for name in ("id", "task", "status", "name")},
     "seed": lambda run: run.seeds[0] if run.seeds else None,
     "started": lambda run: run.started.isoformat(),
@@ -321,7 +310,7 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
     """Return runs by a column or config key, largest or latest first (``reverse``: last); runs without the key last."""
     values = _values(runs, key, "--sort")
 
-    def rank(run: RunSummary) -> tuple[bool, Any]:  # Sort numbers before texts.
+    def rank(run: RunSummary) -> tuple[bool, float | str]:  # Sort numbers before texts.
         value = values[run.path]
         return (False, float(value)) if isinstance(value, (int, float)) else (True, str(value))
 
@@ -329,14 +318,14 @@ def sort_runs(runs: Sequence[RunSummary], key: str, *, reverse: bool = False) ->
     return [*known, *(run for run in runs if values[run.path] is None)]
 
 
-def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, Any]:
+def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, object]:
     """Return the value of a column or config key for each run; None for a run that lacks the column or key."""
     column = _COLUMNS.get(key.replace("_", "-"))
     if column is not None:
         return {run.path: column(run) for run in runs}
-    found: dict[Path, Any] = {}
+    found: dict[Path, object] = {}
     for run in runs:
-        value: Any = written_config(run.path)
+        value: object = written_config(run.path)
         for part in key.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
         found[run.path] = value
@@ -352,7 +341,7 @@ def _starts_with_digit(text: str) -> bool:
     return text[:1].isdigit()
 
 
-def _holds(value: Any, sign: str, wanted: str) -> bool:
+def _holds(value: object, sign: str, wanted: str) -> bool:
     number = _number(wanted)
     if sign in _ORDERED:
         if isinstance(value, str):

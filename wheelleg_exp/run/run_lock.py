@@ -8,9 +8,8 @@ import json
 import os
 import platform
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import file_error, read_json
@@ -18,18 +17,29 @@ from wheelleg_exp.files import file_error, read_json
 _PROC = Path("/proc")
 
 
-def this_process() -> dict[str, Any]:
-    """Return the identity of this process: pid, host, boot id, and its start in clock ticks."""
-    # A new process can have the pid of an ended process, but not the ended process's boot id and start time.
-    # On operating systems that do not report a boot id and a process's start time, both values are None.
+class ProcessId(TypedDict, total=False):
+    """The identity of a process: pid, host, boot id, and its start in clock ticks.
+
+    A new process can have the pid of an ended process, but not the ended process's boot id and start time. On operating
+    systems that do not report a boot id and a process's start time, both values are None.
+    """
+
+    pid: int | None
+    host: str | None
+    boot_id: str | None
+    start_ticks: int | None
+
+
+def this_process() -> ProcessId:
+    """Return the identity of this process."""
     pid = os.getpid()
     return {"pid": pid, "host": platform.node(), "boot_id": _boot_id(), "start_ticks": _start_ticks(pid)}
 
 
-def is_alive(recorded: Mapping[str, Any]) -> bool | None:
+def is_alive(recorded: ProcessId | None) -> bool | None:
     """Return whether a process that ``this_process`` recorded still runs; None if the process is on another host."""
-    pid = recorded.get("pid")
-    if not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
+    pid = recorded and recorded.get("pid")
+    if not recorded or not isinstance(pid, int) or pid <= 0 or recorded.get("host") != platform.node():
         return None
     if recorded.get("boot_id") != _boot_id():
         return False
@@ -84,11 +94,10 @@ class RunLock:
         deadline = time.monotonic() + self.timeout_s
         while not self._try():
             if time.monotonic() >= deadline:
-                holder: Any = {}
-                with contextlib.suppress(RunDirectoryError):
+                who = "another process"
+                with contextlib.suppress(RunDirectoryError, LookupError, TypeError):
                     holder = read_json(self.path)
-                known = isinstance(holder, dict) and "pid" in holder
-                who = f"process {holder['pid']} on {holder.get('host')}" if known else "another process"
+                    who = f"process {holder['pid']} on {holder['host']}"
                 message = f"'{self.path.parent}' is being written by {who}"
                 raise RunDirectoryError(message, expected="one writer at a time: wait for that process, or end it")
             time.sleep(0.02)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, run_git, split_nul
 
@@ -12,56 +13,106 @@ _SHOWN_REASONS = 5
 _ABSENT = "000000"
 
 State = str | None  # A file's state is its git mode and blob id as text, or None if the git tree lacks the file.
+States = tuple[State, State]  # A file's states before and after a change.
 
 
-def source_lines(content: Mapping[str, Any]) -> list[str]:
+class NotCaptured(TypedDict):
+    """A file whose content is not in the source snapshot, and the reason why not."""
+
+    path: str
+    reason: str
+
+
+class Submodule(TypedDict):
+    """A git submodule, whose files are not in the source snapshot, and its commit."""
+
+    path: str
+    commit: str
+
+
+class Remote(TypedDict, total=False):
+    """A git remote."""
+
+    name: str | None
+    url: str | None
+
+
+@dataclass
+class SourceRecord:
+    """The state of one source repository, as in ``git.json``; None for a value that is not known.
+
+    The repository has a ``patch`` only if its ``status`` is ``ok`` or ``no_commits``; otherwise, ``note`` says why not.
+    ``base`` is the commit or the empty tree to which the patch applies. ``contents`` maps each changed file to its
+    states in ``base`` and in the source tree. ``content_sha256`` is the digest of an installed package.
+    """
+
+    status: str = ""
+    exact: bool = False
+    note: str | None = None
+    root: str | None = None
+    folders: list[str] = field(default_factory=list)
+    commit: str | None = None
+    branch: str | None = None
+    remote: Remote | None = None
+    shallow: bool | None = None
+    base: str | None = None
+    tree: str | None = None
+    dirty: bool | None = None
+    untracked: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
+    contents: Mapping[str, States] | None = None
+    refused: list[NotCaptured] = field(default_factory=list)
+    submodules: list[Submodule] = field(default_factory=list)
+    big_files: list[object] = field(default_factory=list)
+    patch: str | None = None
+    patch_bytes: int | None = None
+    patch_sha256: str | None = None
+    distribution: str | None = None
+    content_sha256: str | None = None
+
+
+def source_lines(records: Iterable[SourceRecord]) -> list[str]:
     """Describe each source repository in a line; add a warning line for a repository with files that are not stored."""
     lines = []
-    for record in (content, *content["others"]):
+    for record in records:
         lines.append(_source_line(record))
-        missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record["refused"]]
-        missing += [f"{entry['path']!r} (it is a submodule)" for entry in record["submodules"]]
+        missing = [f"{entry['path']!r} ({entry['reason']})" for entry in record.refused]
+        missing += [f"{entry['path']!r} (it is a submodule)" for entry in record.submodules]
         if missing:
             names = first_few(missing, _SHOWN_REASONS)
-            lines.append(f"warning: not captured of the source of {record['root']}: {names}")
+            lines.append(f"warning: not captured of the source of {record.root}: {names}")
     return lines
 
 
-def _source_line(record: Mapping[str, Any]) -> str:
-    if record["patch"] is None:
-        warning = "source" if record["status"] == "installed" else "warning: the source is not captured"
-        return f"{warning}: {record['note']}"
-    patch, count = record["patch"], len(record["changed"])
+def _source_line(record: SourceRecord) -> str:
+    if record.patch is None:
+        warning = "source" if record.status == "installed" else "warning: the source is not captured"
+        return f"{warning}: {record.note}"
+    patch, count = record.patch, len(record.changed)
     files = f"{count} file{'' if count == 1 else 's'}"
-    if record["commit"] is None:
-        return f"source: {record['root']} has no commit yet; {files}, stored in source/{patch}"
-    branch = f" on {record['branch']}" if record["branch"] else ", no branch"
-    place = f"source: commit {record['commit'][:10]} of {record['root']}{branch}"
-    if not record["dirty"]:
+    if record.commit is None:
+        return f"source: {record.root} has no commit yet; {files}, stored in source/{patch}"
+    branch = f" on {record.branch}" if record.branch else ", no branch"
+    place = f"source: commit {record.commit[:10]} of {record.root}{branch}"
+    if not record.dirty:
         return f"{place}, clean"
-    untracked = f" ({len(record['untracked'])} untracked)" if record["untracked"] else ""
+    untracked = f" ({len(record.untracked)} untracked)" if record.untracked else ""
     return f"{place}, with changes: {files}{untracked}, stored in source/{patch}"
 
 
-def describe_changes(was: Mapping[str, Any], now: Mapping[str, Any], repositories: Iterable[Path]) -> str:
+def describe_changes(was: SourceRecord | None, now: SourceRecord | None, repositories: Iterable[Path]) -> str:
     """Return a text with the source files that differ between two runs, or with the reason why they are unknown."""
-    place = str(now.get("root") or was.get("root") or "the source")
-    if not (was and now):
+    place = (now and now.root) or (was and was.root) or "the source"
+    if was is None or now is None:
         return f"{place}: part of only one of the two sources"
-    if was.get("distribution") or now.get("distribution"):
-        return f"{place}: installed, {was.get('distribution')} and {now.get('distribution')}"
-    before, after = _contents(was), _contents(now)
-    if before is None or after is None:
+    if was.distribution or now.distribution:
+        return f"{place}: installed, {was.distribution} and {now.distribution}"
+    if was.contents is None or now.contents is None:
         return f"{place}: the files were not captured, so their differences are unknown"
-    between = _between(was.get("base"), now.get("base"), repositories)
+    between = _between(was.base, now.base, repositories)
     if between is None:
         return f"{place}: the commits differ, and no repository here contains both, so the changed files are unknown"
-    return f"{place}: {_compare(before, after, between) or 'no file differs'}"
-
-
-def changed_states(record: Mapping[str, Any]) -> dict[str, State]:
-    """Return git mode and blob id of each file with uncommitted changes, by path; None for a deleted file."""
-    return {path: pair[1] for path, pair in (_contents(record) or {}).items()}
+    return f"{place}: {_compare(was.contents, now.contents, between) or 'no file differs'}"
 
 
 def state(mode: str, blob: str) -> State:
@@ -69,17 +120,10 @@ def state(mode: str, blob: str) -> State:
     return None if mode == _ABSENT else f"{mode} {blob}"
 
 
-def _contents(record: Mapping[str, Any]) -> dict[str, list[State]] | None:
-    """Return each changed file's git states in the base commit and in the source tree; None if not recorded."""
-    found = record.get("contents")
-    valid = isinstance(found, dict) and all(isinstance(pair, list) and len(pair) == 2 for pair in found.values())
-    return found if valid else None
-
-
-def _compare(was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[str, tuple[State, State]]) -> str:
+def _compare(was: Mapping[str, States], now: Mapping[str, States], between: Mapping[str, States]) -> str:
     """Return a text with the files that were changed, added, or removed; an empty text if no file differs."""
 
-    def state_in(path: str, side: int, own: Mapping[str, Any], other: Mapping[str, Any]) -> Any:
+    def state_in(path: str, side: int, own: Mapping[str, States], other: Mapping[str, States]) -> State:
         if path in own:
             return own[path][1]
         # If ``between`` lacks a file, the file is equal in both git commits.
@@ -93,11 +137,11 @@ def _compare(was: Mapping[str, Any], now: Mapping[str, Any], between: Mapping[st
     return "; ".join(f"{kind} {first_few(paths)}" for kind, paths in found.items() if paths)
 
 
-def _between(a: Any, b: Any, repositories: Iterable[Path]) -> dict[str, tuple[State, State]] | None:
+def _between(a: str | None, b: str | None, repositories: Iterable[Path]) -> dict[str, States] | None:
     """Return both git states of each file that differs between two commits; None if no repository has both commits."""
     if a == b:
         return {}
-    if not all(isinstance(base, str) and OBJECT_ID.fullmatch(base) for base in (a, b)):
+    if not (a and b and OBJECT_ID.fullmatch(a) and OBJECT_ID.fullmatch(b)):
         return None
     for folder in dict.fromkeys(repositories):
         try:

@@ -7,29 +7,19 @@ import os
 import re
 import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, read_bytes, read_json, require_mapping, temporary_folder
 from wheelleg_exp.run.file_inventory import is_inside
 from wheelleg_exp.run.git_commands import OBJECT_ID, GitError, Repository, run_git
-from wheelleg_exp.run.manifest import Optional, mistyped_keys
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, SOURCE_FORMAT, new_record
+from wheelleg_exp.run.records import read_record
+from wheelleg_exp.run.source_changes import SourceRecord
+from wheelleg_exp.run.source_snapshot import RECORD_NAME, SOURCE_FORMAT
 
 _FULL_DISK = re.compile("no space left|quota exceeded", re.IGNORECASE)
 _ROOM_BYTES = 1 << 16
-_NAMES, _TEXT = Optional([str]), Optional(str)
-_RECORD = {
-    **dict.fromkeys(("root", "commit", "base", "tree", "patch", "patch_sha256", "content_sha256", "note"), _TEXT),
-    **dict.fromkeys(("status", "branch", "distribution"), _TEXT),
-    **dict.fromkeys(("folders", "untracked", "changed"), _NAMES),
-    "remote": Optional({"name": _TEXT, "url": _TEXT}),
-    "exact": Optional(bool),
-    "patch_bytes": Optional(int),
-    "refused": Optional([{"path": str, "reason": str}]),
-    "submodules": Optional([{"path": str, "commit": str}]),
-}
 _PATCH = re.compile(r"source(_[0-9]+)?\.patch")
 
 # With ``_SETTINGS``, git neither converts line ends nor downloads Git LFS files.
@@ -37,36 +27,37 @@ _SETTINGS = {"core.autocrlf": "false", "core.eol": "lf", "core.hooksPath": os.de
 _SETTINGS |= dict.fromkeys(("filter.lfs.smudge", "filter.lfs.clean", "filter.lfs.process"), "")
 
 
-def load_source(directory: os.PathLike[str]) -> dict[str, Any]:
-    """Return the content of a run's ``source/git.json``; raise RunDirectoryError if a value is invalid or unsafe."""
+@dataclass
+class _Content(SourceRecord):
+    """The content of ``git.json``: the record of the main repository, and the records of the other repositories."""
+
+    others: list[SourceRecord] = field(default_factory=list)
+
+
+def load_source(directory: os.PathLike[str]) -> list[SourceRecord]:
+    """Return the records in a run's ``source/git.json``, the main repository first; an unsafe value is an error."""
     path = Path(directory) / "source" / RECORD_NAME
     where, content = str(path), require_mapping(read_json(path), path)
     if content.get("format") != SOURCE_FORMAT:
         message = "this is not a record of a source tree"
         raise RunDirectoryError(message, where=where, expected=f"format {SOURCE_FORMAT}")
-    for wrong in mistyped_keys(content, {**_RECORD, "others": Optional([_RECORD])}):
-        raise RunDirectoryError(f"broken record of the source: the key '{wrong}' is missing or wrong", where=where)
-    first, *others = ({**new_record("failed", None, None), **e} for e in (content, *(content.get("others") or ())))
-    for entry in (first, *others):
+    first = read_record(_Content, content, "broken record of the source", path)
+    records = [first, *first.others]
+    for entry in records:
         for key, pattern in {**dict.fromkeys(("commit", "base", "tree"), OBJECT_ID), "patch": _PATCH}.items():
-            if entry[key] is not None and not pattern.fullmatch(str(entry[key])):
-                raise RunDirectoryError(f"broken record of the source: {key} has the value {entry[key]!r}", where=where)
-        for name in entry["folders"] or ():
-            if not is_inside(str(name)):
+            value = getattr(entry, key)
+            if value is not None and not pattern.fullmatch(value):
+                raise RunDirectoryError(f"broken record of the source: {key} has the value {value!r}", where=where)
+        for name in entry.folders:
+            if not is_inside(name):
                 raise RunDirectoryError(f"git.json names the path '{name}' outside the git repository", where=where)
-    return {**first, "others": others}
+    return records
 
 
-def source_records(directory: os.PathLike[str]) -> list[dict[str, Any]]:
-    """Return the source record of each source repository of a run; the repository of wheelleg_exp is the first."""
-    content = load_source(directory)
-    return [content, *content["others"]]
-
-
-def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | None:
+def find_origin(record: SourceRecord, candidates: Sequence[Path]) -> Path | None:
     """Return the first given folder whose git repository has the recorded commit; None if no commit is recorded."""
     # If no folder contains the recorded commit, the error names the git command that fetches the commit.
-    commit = record["commit"]
+    commit = record.commit
     if commit is None:
         return None
     complaints = []
@@ -78,10 +69,10 @@ def find_origin(record: dict[str, Any], candidates: Sequence[Path]) -> Path | No
             complaints.append(f"{folder}: {known}")
         else:
             return folder
-    remote = record.get("remote") or {}
-    fetch = f"git fetch {remote.get('url') or '<the repository of the run>'} {commit}"
+    url = record.remote and record.remote.get("url")
+    fetch = f"git fetch {url or '<the repository of the run>'} {commit}"
     searched = "; ".join(complaints) or "no repository was searched"
-    message = f"no repository here contains commit {commit} of '{record['root']}' ({searched})"
+    message = f"no repository here contains commit {commit} of '{record.root}' ({searched})"
     expected = f"--repository with a clone that contains it; inside a clone, '{fetch}' fetches it"
     raise RunDirectoryError(message, expected=expected)
 
@@ -98,27 +89,27 @@ def restore_source(
     and an error is raised. No file outside ``destination`` is written, even if the recorded patch contains paths
     outside ``destination``. A full disk raises SimulationFailure.
     """
-    record = source_records(directory)[which]
-    if record["patch"] is None:
-        raise RunDirectoryError(f"the run did not store its source code ({record['status']}): {record['note']}")
+    record = load_source(directory)[which]
+    if record.patch is None or record.tree is None:
+        raise RunDirectoryError(f"the run did not store its source code ({record.status}): {record.note}")
     if destination.exists():
         raise RunDirectoryError(f"'{destination}' already exists", expected="a new folder")
-    path = Path(directory) / "source" / record["patch"]
+    path = Path(directory) / "source" / record.patch
     change = read_bytes(path)
-    if hashlib.sha256(change).hexdigest() != record["patch_sha256"]:
-        message, expected = "the patch has been changed since the run recorded it", record["patch_sha256"]
+    if hashlib.sha256(change).hexdigest() != record.patch_sha256:
+        message, expected = "the patch has been changed since the run recorded it", record.patch_sha256
         raise RunDirectoryError(message, where=str(path), expected=f"the recorded sha256 {expected}")
-    origin = find_origin(record, [repository or Path(record["root"])])
+    origin = find_origin(record, [repository or Path(record.root or ".")])
     with for_people(destination), temporary_folder(destination) as unfinished:
-        _rebuild(record, origin, unfinished, change)
+        _rebuild(record.commit, record.tree, origin, unfinished, change)
         unfinished.rename(destination)
-    return record["tree"]
+    return record.tree
 
 
-def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: bytes) -> None:
+def _rebuild(commit: str | None, expected: str, origin: Path | None, folder: Path, change: bytes) -> None:
     try:
         # Create an empty repository that reads the git objects of ``origin``, but not the settings of ``origin``.
-        kind = "sha256" if len(record["tree"]) > 40 else "sha1"
+        kind = "sha256" if len(expected) > 40 else "sha1"
         run_git(folder, "init", "--quiet", "--template=", f"--object-format={kind}")
         clone = Repository(folder.absolute())
         for key, value in _SETTINGS.items():
@@ -130,16 +121,16 @@ def _rebuild(record: dict[str, Any], origin: Path | None, folder: Path, change: 
             with for_people(alternates):
                 alternates.parent.mkdir(parents=True, exist_ok=True)
                 alternates.write_bytes(os.fsencode(objects.resolve()) + b"\n")
-        if record["commit"]:
-            clone.run("update-ref", "--no-deref", "HEAD", record["commit"])
-            clone.run("read-tree", record["commit"])
+        if commit:
+            clone.run("update-ref", "--no-deref", "HEAD", commit)
+            clone.run("read-tree", commit)
         if change:
             # With --cached, git applies the patch only to git's index and writes no files, so no line ends change.
             clone.run("apply", "--cached", "--binary", "--whitespace=nowarn", "-", stdin=change)
         tree = clone.text("write-tree")
-        if tree != record["tree"]:
+        if tree != expected:
             message = f"the restored source has the tree {tree}"
-            raise RunDirectoryError(message, expected=f"the recorded {record['tree']}")
+            raise RunDirectoryError(message, expected=f"the recorded {expected}")
         clone.run("checkout-index", "--all", "--force")
     except GitError as error:
         where = f" from '{origin}'" if origin else ""

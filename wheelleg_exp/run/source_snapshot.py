@@ -12,34 +12,26 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Literal
 
 from wheelleg_exp.files import sha256, write_bytes, write_json
 from wheelleg_exp.run import git_commands as git
 from wheelleg_exp.run.git_commands import GitError, Repository
-from wheelleg_exp.run.source_changes import state
+from wheelleg_exp.run.source_changes import NotCaptured, SourceRecord, Submodule, state
 
 SOURCE_FORMAT = 1
 PATCH_NAME, RECORD_NAME = "source.patch", "git.json"
 
-# A repository in git.json has a patch only if its status is "ok" or "no_commits"; otherwise, its note says why not.
 Status = Literal["ok", "no_commits", "no_repository", "installed", "patch_too_large", "no_git", "failed"]
 
 _BIG_FILES_SHOWN = 20
 _INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _GITLINK, _NO_MODE = "160000", "000000"
-
-
-class NotCaptured(TypedDict):
-    """A file whose content is not in the source snapshot, and the reason why not."""
-
-    path: str
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -61,16 +53,10 @@ class _WorkingTree:
     folders: list[str]
 
 
-def source_entries(record: Any) -> list[Mapping[str, Any]]:
-    """Return the entries of all repositories in ``git.json``, the main repository first; skip malformed entries."""
-    others = record.get("others") if isinstance(record, Mapping) else None
-    return [entry for entry in (record, *(others if isinstance(others, list) else ())) if isinstance(entry, Mapping)]
-
-
 def snapshot_source(
     roots: Sequence[Path], folder: Path, *, runs_root: Path | None = None, max_patch_mb: float = 50.0
-) -> dict[str, Any]:
-    """Write ``git.json`` and the patches into the run's ``source`` folder, and return the content of ``git.json``.
+) -> list[SourceRecord]:
+    """Write ``git.json`` and the patches into the run's ``source`` folder, and return the records of ``git.json``.
 
     ``roots`` contains source folders and single source files; the first is the folder of ``wheelleg_exp``. ``git.json``
     has one record for each git repository that contains source folders. Untracked files in ``runs_root``, the folder of
@@ -78,40 +64,25 @@ def snapshot_source(
     and the total size of its untracked files. If a git command fails, the run continues, and ``git.json`` contains a
     status and a note about the failure.
     """
-    records: list[dict[str, Any]] = []
+    records: list[SourceRecord] = []
     for place in _group(roots):
-        if isinstance(place, dict):
+        if isinstance(place, SourceRecord):
             records.append(place)
             continue
         record, patch = _snapshot(place, runs_root, int(max_patch_mb * 1e6))
         if patch is not None:
-            record["patch"] = PATCH_NAME if not records else f"source_{len(records) + 1}.patch"
-            write_bytes(folder / record["patch"], patch)
+            record.patch = PATCH_NAME if not records else f"source_{len(records) + 1}.patch"
+            write_bytes(folder / record.patch, patch)
         records.append(record)
     if not records:
-        records.append(new_record("no_repository", None, "no source folder was given"))
-    content = {"format": SOURCE_FORMAT, **records[0], "others": records[1:]}
-    write_json(folder / RECORD_NAME, content)
-    return content
+        records.append(_record("no_repository", None, "no source folder was given"))
+    first, *others = map(asdict, records)
+    write_json(folder / RECORD_NAME, {"format": SOURCE_FORMAT, **first, "others": others})
+    return records
 
 
-def new_record(status: Status, root: Path | None, note: str | None) -> dict[str, Any]:
-    """Return a repository's entry for ``git.json`` with every key; keys without a known value are None or empty."""
-    return {
-        "status": status,
-        "exact": False,
-        "note": note,
-        "root": None if root is None else str(root),
-        "folders": [],
-        **dict.fromkeys(("commit", "branch", "remote", "shallow", "base", "tree", "dirty")),
-        "untracked": [],
-        "changed": [],
-        "contents": None,
-        "refused": [],
-        "submodules": [],
-        "big_files": [],
-        **dict.fromkeys(("patch", "patch_bytes", "patch_sha256", "distribution", "content_sha256")),
-    }
+def _record(status: Status, root: Path | None, note: str | None) -> SourceRecord:
+    return SourceRecord(status, note=note, root=None if root is None else str(root))
 
 
 def is_installed(root: Path, above: Path | None = None) -> bool:
@@ -129,12 +100,12 @@ def content_digest(root: Path) -> str:
     return digest.hexdigest()
 
 
-def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
+def _group(roots: Iterable[Path]) -> list[_WorkingTree | SourceRecord]:
     """Group source folders by git repository; a folder outside git becomes a record that says why it is not stored."""
-    groups: dict[Path, _WorkingTree | dict[str, Any]] = {}
+    groups: dict[Path, _WorkingTree | SourceRecord] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
         place = _place(root)
-        if isinstance(place, dict):
+        if isinstance(place, SourceRecord):
             groups[root] = place
             continue
         known = groups.setdefault(place.repository.top, place)
@@ -143,7 +114,7 @@ def _group(roots: Iterable[Path]) -> list[_WorkingTree | dict[str, Any]]:
     return list(groups.values())
 
 
-def _place(root: Path) -> _WorkingTree | dict[str, Any]:
+def _place(root: Path) -> _WorkingTree | SourceRecord:
     """Return the git repository of ``root``, or a record that says why the files of ``root`` cannot be stored."""
     folder = root if root.is_dir() else root.parent
     try:
@@ -153,7 +124,7 @@ def _place(root: Path) -> _WorkingTree | dict[str, Any]:
         if is_installed(root):
             return _installed(root)
         if isinstance(error, git.GitMissing):
-            return new_record("no_git", root, "git is not installed, so the source is not captured")
+            return _record("no_git", root, "git is not installed, so the source is not captured")
         return _not_captured(root, str(error))
     top = repository.top.resolve()
     if not root.is_relative_to(top):
@@ -165,7 +136,7 @@ def _place(root: Path) -> _WorkingTree | dict[str, Any]:
     return _WorkingTree(repository, [root.relative_to(top).as_posix()])
 
 
-def _not_captured(root: Path, reason: str) -> dict[str, Any]:
+def _not_captured(root: Path, reason: str) -> SourceRecord:
     status: Status = "no_repository"
     if "not a git repository" in reason:
         reason = f"'{root}' is not in a git repository"
@@ -173,13 +144,14 @@ def _not_captured(root: Path, reason: str) -> dict[str, Any]:
         reason = f"git refuses the repository of '{root}', because it belongs to another user"
     elif reason.startswith("git failed"):
         status = "failed"
-    return new_record(status, root, f"{reason}, so its files are not captured")
+    return _record(status, root, f"{reason}, so its files are not captured")
 
 
-def _installed(root: Path) -> dict[str, Any]:
+def _installed(root: Path) -> SourceRecord:
     name = _distribution_of(root)
     note = f"'{root}' is installed{f' ({name})' if name else ''}: its digest is stored, not its files"
-    return {**new_record("installed", root, note), "distribution": name, "content_sha256": content_digest(root)}
+    digest = content_digest(root)
+    return SourceRecord("installed", note=note, root=str(root), distribution=name, content_sha256=digest)
 
 
 def _distribution_of(root: Path) -> str | None:
@@ -194,35 +166,35 @@ def _distribution_of(root: Path) -> str | None:
     return None
 
 
-def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[dict[str, Any], bytes | None]:
+def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[SourceRecord, bytes | None]:
     """Return a repository's entry for ``git.json``, and its patch, or None if the patch is too large or git fails."""
     repository = tree.repository
-    record = new_record("ok", repository.top, None)
-    record["folders"] = tree.folders
+    record = _record("ok", repository.top, None)
+    record.folders = tree.folders
     try:
         commit = repository.maybe("rev-parse", "--verify", "--quiet", "HEAD")
-        record["status"] = "ok" if commit else "no_commits"
-        record["commit"] = commit
-        record["base"] = commit or repository.text("hash-object", "-t", "tree", os.devnull)
-        record["branch"] = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
+        record.status = "ok" if commit else "no_commits"
+        record.commit = commit
+        base = record.base = commit or repository.text("hash-object", "-t", "tree", os.devnull)
+        record.branch = repository.maybe("symbolic-ref", "-q", "--short", "HEAD")
         # Store the URL of the current branch's git remote, otherwise of ``origin``, otherwise of the first git remote.
         names = repository.text("remote").splitlines()
-        tracked = repository.maybe("config", f"branch.{record['branch']}.remote") if record["branch"] else None
+        tracked = repository.maybe("config", f"branch.{record.branch}.remote") if record.branch else None
         chosen = next((name for name in (tracked, "origin", *names) if name in names), None)
         if chosen is not None:
             url = git.without_credentials(repository.maybe("config", f"remote.{chosen}.url") or "")
-            record["remote"] = {"name": chosen, "url": url}
-        record["shallow"] = repository.text("rev-parse", "--is-shallow-repository") == "true"
-        return record, _capture(repository, record, runs_root, cap)
+            record.remote = {"name": chosen, "url": url}
+        record.shallow = repository.text("rev-parse", "--is-shallow-repository") == "true"
+        return record, _capture(repository, record, base, runs_root, cap)
     except GitError as error:
-        record.update(status="failed", note=f"the files are not captured: {error}")
+        record.status, record.note = "failed", f"the files are not captured: {error}"
         return record, None
 
 
-def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | None, cap: int) -> bytes | None:
+def _capture(repository: Repository, record: SourceRecord, base: str, runs_root: Path | None, cap: int) -> bytes | None:
     """Add the git tree id to ``record``; return the patch of uncommitted changes, or None if the patch is too large."""
     untracked, refused = _untracked_files(repository, runs_root)
-    record["refused"] = list(refused)
+    record.refused = list(refused)
     sizes = _sizes(repository, untracked)
     if sum(sizes.values()) > cap:
         _refuse_patch(record, sizes, "the untracked files have", sum(sizes.values()), cap)
@@ -230,7 +202,7 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
     with git.scratch_index(repository) as scratch:
         filtered = _filtered(repository, repository.paths("ls-files", "-z"))
         refused += filtered + _add_working_tree(scratch, untracked)
-        parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", record["base"])
+        parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
         changes = []
         for facts, path in zip(parts[::2], parts[1::2], strict=True):
             old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
@@ -242,29 +214,30 @@ def _capture(repository: Repository, record: dict[str, Any], runs_root: Path | N
         if lines:
             scratch.run("update-index", "-z", "--index-info", stdin=git.join_nul(lines))
         left_out = {entry["path"] for entry in refused}
-        record["refused"] = list(refused)
-        record["untracked"] = [path for path in untracked if path not in left_out]
+        record.refused = list(refused)
+        record.untracked = [path for path in untracked if path not in left_out]
         stored = [change for change in changes if change.path not in left_out]
-        record["changed"] = [change.path for change in stored]
-        record["contents"] = {c.path: [state(c.old_mode, c.old_id), state(c.new_mode, c.new_id)] for c in stored}
-        record["dirty"] = bool(changes) or len(refused) > len(filtered)
-        record["submodules"] = _submodules(scratch)
-        record["tree"] = scratch.text("write-tree")
+        record.changed = [change.path for change in stored]
+        record.contents = {c.path: (state(c.old_mode, c.old_id), state(c.new_mode, c.new_id)) for c in stored}
+        record.dirty = bool(changes) or len(refused) > len(filtered)
+        record.submodules = _submodules(scratch)
+        record.tree = scratch.text("write-tree")
         # Make a patch from the commit ``base`` to the temporary git index, regardless of the user's git diff settings.
         options = ["--cached", "-p", "--binary", "--full-index", "--no-renames", "--no-color", "--no-ext-diff"]
         options += ["--no-textconv", "--src-prefix=a/", "--dst-prefix=b/", "--submodule=short"]
         options += ["--ignore-submodules=none", "--no-relative", "-U3"]
-        patch = scratch.run("diff-index", *options, record["base"])
+        patch = scratch.run("diff-index", *options, base)
         if len(patch) > cap:
             present = [change.path for change in stored if change.new_mode not in (_NO_MODE, _GITLINK)]
             _refuse_patch(record, _sizes(repository, present), "the patch has", len(patch), cap)
             return None
-    notes = ["the repository has no commit, so the patch contains the whole tree"] if record["commit"] is None else []
-    for key, what in (("refused", "files"), ("submodules", "submodules")):
-        if record[key]:
-            notes.append(f"{what} not captured: {', '.join(entry['path'] for entry in record[key])}")
-    record.update(patch_bytes=len(patch), patch_sha256=hashlib.sha256(patch).hexdigest(), note="; ".join(notes) or None)
-    record["exact"] = not (record["refused"] or record["submodules"])
+    notes = ["the repository has no commit, so the patch contains the whole tree"] if record.commit is None else []
+    for what, entries in (("files", record.refused), ("submodules", record.submodules)):
+        if entries:
+            notes.append(f"{what} not captured: {', '.join(entry['path'] for entry in entries)}")
+    record.patch_bytes, record.patch_sha256 = len(patch), hashlib.sha256(patch).hexdigest()
+    record.note = "; ".join(notes) or None
+    record.exact = not (record.refused or record.submodules)
     return patch
 
 
@@ -352,16 +325,16 @@ def _add_working_tree(scratch: Repository, untracked: list[str]) -> list[NotCapt
     return refused
 
 
-def _submodules(scratch: Repository) -> list[dict[str, str]]:
+def _submodules(scratch: Repository) -> list[Submodule]:
     entries = (entry.split("\t", 1) for entry in scratch.paths("ls-files", "--stage", "-z"))
     found = ((facts.split(" "), path) for facts, path in entries)
-    return [{"path": path, "commit": commit} for (mode, commit, _), path in found if mode == _GITLINK]
+    return [Submodule(path=path, commit=commit) for (mode, commit, _), path in found if mode == _GITLINK]
 
 
-def _refuse_patch(record: dict[str, Any], sizes: dict[str, int], what: str, size: int, cap: int) -> None:
+def _refuse_patch(record: SourceRecord, sizes: dict[str, int], what: str, size: int, cap: int) -> None:
     biggest = sorted(sizes.items(), key=lambda item: (-item[1], item[0]))[:_BIG_FILES_SHOWN]
-    record.update(status="patch_too_large", dirty=True)
-    record["big_files"] = [{"path": path, "bytes": count} for path, count in biggest]
+    record.status, record.dirty = "patch_too_large", True
+    record.big_files = [{"path": path, "bytes": count} for path, count in biggest]
     names = ", ".join(path for path, _ in biggest[:3])
     note = f"{what} {size / 1e6:.1f} MB and run.max_patch_mb is {cap / 1e6:g}, so the changes are not stored; "
-    record["note"] = note + f"commit or ignore the big files ({names}), or raise run.max_patch_mb"
+    record.note = note + f"commit or ignore the big files ({names}), or raise run.max_patch_mb"

@@ -26,7 +26,7 @@ def start_run(
     source_roots: Sequence[Path],
     seed: int | Sequence[int],
     task: str,
-    threads: Mapping[str, Any],
+    threads: Mapping[str, object],
     max_patch_mb: float | None = None,
 ) -> Manifest:
     """Write the manifest of a new run with the status ``running``, and then the snapshot of the run's inputs.
@@ -55,7 +55,7 @@ def complete_snapshot(
     directory: RunDirectory,
     manifest: Manifest,
     source_roots: Sequence[Path],
-    threads: Mapping[str, Any],
+    threads: Mapping[str, object],
     max_patch_mb: float | None = None,
 ) -> None:
     """Write the source snapshot and ``environment.txt`` into a run directory, and record both in the manifest."""
@@ -63,4 +63,4 @@ def complete_snapshot(
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))
-    manifest.snapshot_taken({key: source[key] for key in _SUMMARY})
+    manifest.snapshot_taken({key: getattr(source[0], key) for key in _SUMMARY})

@@ -13,3 +13,13 @@ from wheelleg_exp.verify.check_files import Check, RunFindings
 from wheelleg_exp.verify.check_run import verify_run
 from wheelleg_exp.verify.run_comparison import Comparison, compare_runs
 from wheelleg_exp.verify.run_differences import FactDifference, environment_differences
+
+__all__ = [
+    "Check",
+    "Comparison",
+    "FactDifference",
+    "RunFindings",
+    "compare_runs",
+    "environment_differences",
+    "verify_run",
+]

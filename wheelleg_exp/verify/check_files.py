@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from wheelleg_exp.files import sha256
-from wheelleg_exp.run.file_inventory import MANIFEST_NAME, FileFindings
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME, FileFindings, FileRecord
 from wheelleg_exp.run.iteration_log import IterationLog, read_log
 from wheelleg_exp.run.manifest import FORMAT_WITH_VALUE_DIGEST, Manifest
+from wheelleg_exp.run.records import RunRecord
 from wheelleg_exp.run.run_config import written_config
 from wheelleg_exp.run.run_directory import CHECKPOINT, NEEDED, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.run_list import effective_status
@@ -31,9 +32,9 @@ class Subject:
     log: IterationLog
 
     @property
-    def data(self) -> dict[str, Any]:
+    def facts(self) -> RunRecord:
         """The manifest's content."""
-        return self.manifest.data
+        return self.manifest.facts
 
     @property
     def has_ended(self) -> bool:
@@ -43,12 +44,12 @@ class Subject:
     @property
     def has_snapshot(self) -> bool:
         """True if the run has completely written its config, source code, and robot files."""
-        return bool(self.data.get("source")) or self.has_ended
+        return self.facts.has_source or self.has_ended
 
     @property
     def is_shipped(self) -> bool:
         """True for a policy that ships with ``wheelleg_exp``: it has no log and no source of its training."""
-        return is_stock(self.run.path, self.data.get("stock"))
+        return is_stock(self.run.path, self.facts.stock)
 
 
 def read_subject(run: RunDirectory) -> Subject:
@@ -104,7 +105,7 @@ class RunFindings:
         """``sound`` or ``damaged``."""
         return "sound" if self.is_sound else "damaged"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the results of all checks of a run as a JSON document."""
         checks = [{"state": check.state, **asdict(check)} for check in self.checks]
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
@@ -138,26 +139,26 @@ _FORGED = "was changed after it was written: its own digest differs"
 
 def manifest(subject: Subject) -> Check:
     """Check that nobody changed the manifest after the run wrote it; list the run's error and resumes as notes."""
-    data = subject.data
+    facts, written = subject.facts, subject.manifest.data["format"]
     notes: list[str] = []
     holds = subject.manifest.matches_digest()
     failures = [f"{MANIFEST_NAME} {_FORGED}"] if holds is False else []
     if holds is None:
         notes.append("it has no digest of itself, so a change in it cannot be detected")
-    elif data["format"] == FORMAT_WITH_VALUE_DIGEST:
+    elif written == FORMAT_WITH_VALUE_DIGEST:
         notes.append("its digest is of rounded values: a change of the last digits cannot be detected")
-    if data.get("id") not in (None, subject.run.id):
-        notes.append(f"the run was called '{data['id']}' when it was made")
+    if facts.id not in (None, subject.run.id):
+        notes.append(f"the run was called '{facts.id}' when it was made")
     if subject.status == "crashed":
         notes.append("its process died: 'wheelleg resume' continues from the last checkpoint")
-    if data.get("error"):
-        notes.append(f"it ended with {data['error'].get('type')}: {data['error'].get('message')}")
-    for entry in sorted(data["resumes"], key=lambda entry: entry.get("exact") is not False):
-        where = "" if entry.get("iteration") is None else f" from iteration {entry['iteration']}"
-        how = "" if "exact" not in entry else ", exactly" if entry["exact"] else ", not exactly"
-        reasons = (" ".join(entry.get("overrides") or ()), "; ".join(entry.get("why") or ()))
-        notes.append(": ".join(filter(None, (f"resumed on {entry.get('when')}{where}{how}", *reasons))))
-    return Check("manifest", f"format {data['format']}, {len(data['files'])} files recorded", failures, notes)
+    if facts.error is not None:
+        notes.append(f"it ended with {facts.error.type}: {facts.error.message}")
+    for entry in sorted(facts.resumes, key=lambda entry: entry.exact is not False):
+        where = "" if entry.iteration is None else f" from iteration {entry.iteration}"
+        how = "" if entry.exact is None else ", exactly" if entry.exact else ", not exactly"
+        reasons = (" ".join(entry.overrides), "; ".join(entry.why))
+        notes.append(": ".join(filter(None, (f"resumed on {entry.when}{where}{how}", *reasons))))
+    return Check("manifest", f"format {written}, {len(facts.files)} files recorded", failures, notes)
 
 
 def files(subject: Subject) -> Check:
@@ -171,7 +172,7 @@ def files(subject: Subject) -> Check:
     notes += [f"{name} is a symbolic link and not part of the run" for name in found.links]
     notes += [f"{name} is not rewritten yet: a resume stopped before that" for name in _waiting(subject)]
     records = subject.manifest.recorded_files()
-    size = sum(int(record["size"]) for record in records.values()) / 1e6
+    size = sum(record["size"] for record in records.values()) / 1e6
     wrong = [f"{name} {what}" for name, what in _wrong(subject, found).items()]
     return Check("files", f"{len(records)} files, {size:.1f} MB", wrong, notes)
 
@@ -186,7 +187,7 @@ def _wrong(subject: Subject, found: FileFindings) -> dict[str, str]:
     waiting, root = _waiting(subject), subject.run.path
     wrong = {name: _what_became_of(root / name) for name in found.missing}
     for name in (name for name in found.changed if name not in waiting):
-        recorded, size = int(subject.manifest.recorded_files()[name]["size"]), (root / name).stat().st_size
+        recorded, size = subject.manifest.recorded_files()[name]["size"], (root / name).stat().st_size
         how = "same size, other content" if size == recorded else f"{size} bytes instead of {recorded}"
         wrong[name] = f"was changed: {how}"
     wrong |= {name: "cannot be read" for name in found.unreadable}
@@ -222,17 +223,17 @@ def _is_growing(subject: Subject, name: str) -> bool:
 
 def _waiting(subject: Subject) -> list[str]:
     """Return the config files that a crashed resume did not rewrite; the next resume will rewrite them."""
-    texts = subject.data["resumes"][-1].get("files_to_write") if subject.data["resumes"] else None
-    return sorted(texts) if texts and not subject.has_ended else []
+    resumes = subject.facts.resumes
+    return sorted(resumes[-1].files_to_write) if resumes and not subject.has_ended else []
 
 
 def _changed_before(subject: Subject) -> dict[str, str]:
     """Return the problems of checkpoints whose sha256 differs from the sha256 that was recorded before a resume."""
-    records: dict[str, Mapping[str, Any]] = {}
-    for entry in subject.data["resumes"]:
-        if entry.get("before") and entry["before"].get("files"):
-            records |= {name: record for name, record in entry["before"]["files"].items() if CHECKPOINT.fullmatch(name)}
-            start = entry.get("iteration")
+    records: dict[str, FileRecord] = {}
+    for entry in subject.facts.resumes:
+        if entry.before is not None and entry.before.files:
+            records |= {name: record for name, record in entry.before.files.items() if CHECKPOINT.fullmatch(name)}
+            start = entry.iteration
             replaced = [name for name in records if start is not None and checkpoint_iteration(Path(name)) >= start]
             records = {name: record for name, record in records.items() if name not in replaced}
     wrong = {}

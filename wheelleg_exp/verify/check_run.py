@@ -10,7 +10,6 @@ import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,10 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_text, read_yaml, require_mapping, sha256
 from wheelleg_exp.plain_data import json_value, require_bounded
 from wheelleg_exp.run.file_inventory import odd_entries
-from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, resolved
+from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, recorded_robot, resolved
 from wheelleg_exp.run.run_directory import FAILURE, RunDirectory, checkpoint_iteration
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
+from wheelleg_exp.run.source_restore import load_source
+from wheelleg_exp.run.source_snapshot import RECORD_NAME
 from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import drop_removed
 from wheelleg_exp.verify import check_files
@@ -45,17 +45,17 @@ def params(subject: Subject) -> Check:
         return Check("params", text, skipped=f"{CONFIG} is not a mapping")
     try:
         # An environment variable that the run's manifest lacks resolves to None.
-        config = resolved(written, subject.data.get("config_variables") or {}, lambda _: None)
+        config = resolved(written, subject.facts.config_variables or {}, lambda _: None)
     except RunDirectoryError as error:
         return Check("params", text, skipped=f"{CONFIG}: {error.message}")
     drop_removed(config)
     depends_on_machine = _OUTSIDE.search(read_text(path)) is not None
     failures, notes = [], []
-    seeds, task = subject.data.get("seeds"), config.get("task")
+    seeds, task = subject.facts.seeds, config.get("task")
     if seeds and config.get("seed") not in (None, seeds[0]):
         failures.append(f"the config's seed is {config['seed']}, the manifest's {seeds[0]}")
-    if isinstance(task, Mapping) and task.get("name") != subject.data["task"]:
-        failures.append(f"the config's task is '{task.get('name')}', the manifest's '{subject.data['task']}'")
+    if isinstance(task, Mapping) and task.get("name") != subject.facts.task:
+        failures.append(f"the config's task is '{task.get('name')}', the manifest's '{subject.facts.task}'")
     for part in PARTS:
         changes = plain_changes(found[part], config.get(part), (part,))
         unknown = [change for change in changes if depends_on_machine and _is_interpolated(written, change.keys)]
@@ -66,7 +66,7 @@ def params(subject: Subject) -> Check:
     return Check("params", text, failures, notes)
 
 
-def _is_interpolated(tree: Any, keys: Keys) -> bool:
+def _is_interpolated(tree: object, keys: Keys) -> bool:
     """Return whether a config value, given by its path, comes from an interpolation such as ``${task.name}``."""
     for name in keys:
         if isinstance(tree, str):
@@ -82,20 +82,17 @@ def source(subject: Subject) -> Check:
     folder, where = subject.run.source, f"source/{RECORD_NAME}"
     if not (folder / RECORD_NAME).is_file():
         return Check("source", "", [f"there is no {where}"])
-    record = read_json(folder / RECORD_NAME)
-    if not isinstance(record, Mapping):
-        return Check("source", "", [f"{where} does not describe a source"])
-    facts = {k: v for k, v in (subject.data.get("source") or {}).items() if k in ("status", "commit", "tree", "dirty")}
-    differing = {key: value for key, value in facts.items() if record.get(key) != value}
-    failures = [f"{k} is {record.get(k)} in {where} and {v} in the manifest" for k, v in differing.items()]
-    records = source_entries(record)
-    for name, digest in ((one.get("patch"), one.get("patch_sha256")) for one in records):
-        if isinstance(name, str) and not (folder / Path(name).name).is_file():
-            failures.append(f"source/{name} is missing")
-        elif isinstance(name, str) and sha256(folder / Path(name).name) != digest:
-            failures.append(f"source/{name} is not the patch that {where} describes")
-    notes = [f"{one.get('status')}: {one['note']}" for one in records if one.get("note")]
-    text = f"commit {str(record.get('commit'))[:10]}, tree {str(record.get('tree'))[:10]}"
+    records, noted, failures = load_source(subject.run), subject.facts.source, []
+    for key in ("status", "commit", "tree", "dirty") if noted and noted.status else ():
+        one, other = getattr(records[0], key), getattr(noted, key)
+        failures += [f"{key} is {one} in {where} and {other} in the manifest"] if one != other else []
+    for record in records:
+        if record.patch is not None and not (folder / record.patch).is_file():
+            failures.append(f"source/{record.patch} is missing")
+        elif record.patch is not None and sha256(folder / record.patch) != record.patch_sha256:
+            failures.append(f"source/{record.patch} is not the patch that {where} describes")
+    notes = [f"{record.status}: {record.note}" for record in records if record.note]
+    text = f"commit {str(records[0].commit)[:10]}, tree {str(records[0].tree)[:10]}"
     return Check("source", text, failures, notes)
 
 
@@ -104,13 +101,11 @@ def asset(subject: Subject) -> Check:
     identity = subject.run.path / ROBOT
     if not identity.is_file():
         return Check("asset", "", skipped="the run saved no robot")
-    known = read_json(identity)
-    known = known if isinstance(known, Mapping) else {}
-    sources, model = known.get("sources"), known.get("model_sha256")
+    known = recorded_robot(subject.run)
     failures = [] if (subject.run.asset / "robot.xml").is_file() else ["asset/robot.xml is missing"]
-    if not isinstance(model, str) or not re.fullmatch(r"[0-9a-f]{64}", model):
+    if not re.fullmatch(r"[0-9a-f]{64}", known.model_sha256):
         failures.append(f"{ROBOT} has no digest of the compiled model")
-    return Check("asset", f"{len(sources or ())} source files, compiled model {str(model)[:10]}", failures)
+    return Check("asset", f"{len(known.sources)} source files, compiled model {known.model_sha256[:10]}", failures)
 
 
 def iterations(subject: Subject) -> Check:
@@ -183,7 +178,7 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
 
 def failure(subject: Subject) -> Check:
     """Check that the simulation state that a failed run saved is readable and agrees with the run's manifest."""
-    entry, path = subject.data.get("failure"), subject.run.path / FAILURE
+    entry, path = subject.facts.failure, subject.run.path / FAILURE
     if entry is None:
         return Check("failure", "none")
     try:
@@ -194,7 +189,7 @@ def failure(subject: Subject) -> Check:
             text = f"{entry['key']} in iteration {entry['iteration']}: {len(arrays.files) - 1} arrays"
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return Check("failure", "", [f"{FAILURE} cannot be read: {error}"])
-    differing = [key for key in ("key", "iteration", "message") if about.get(key) != entry.get(key)]
+    differing = [key for key in ("key", "iteration", "message") if about.get(key) != entry[key]]
     return Check("failure", text, [f"{FAILURE} and the manifest differ in {', '.join(differing)}"] if differing else [])
 
 
@@ -218,7 +213,7 @@ def recording(subject: Subject) -> Check:
     # A recording without an index is complete if its sha256 equals the sha256 in the manifest.
     if not is_recorded:
         return Check("recording", text, lines)
-    why = subject.data.get("recording_unfinished")
+    why = subject.facts.recording_unfinished
     note = "it is complete but has no index, so it opens slowly" + (f" ({why})" if why else "")
     return Check("recording", text, notes=[f"{note}: 'wheelleg inspect RUN --repair' writes a copy with one"])
 

@@ -168,8 +168,11 @@ def _fact_row(difference: FactDifference) -> tuple[str, str, str, str]:
     a, b = difference.a, difference.b
     if isinstance(a, list) and isinstance(b, list):
         a, b = ([x for x in one if x not in other] for one, other in ((a, b), (b, a)))
-    # Print only the first 10 digits of a hash of the source code.
-    is_hash = [difference.section == "code" and isinstance(x, str) and len(x) in (40, 64) for x in (a, b)]
-    one, other = (brief(x[:10] if short else x) for x, short in zip((a, b), is_hash, strict=True))
     allows = f"allows other rounding: {difference.allows}" if difference.allows else ""
-    return f"{difference.section}.{difference.name}", one, other, allows
+    return f"{difference.section}.{difference.name}", _short(a, difference), _short(b, difference), allows
+
+
+def _short(value: object, difference: FactDifference) -> str:
+    """Return a fact as text; only the first 10 digits of a hash of the source code."""
+    is_hash = difference.section == "code" and isinstance(value, str) and len(value) in (40, 64)
+    return str(value)[:10] if is_hash else brief(value)

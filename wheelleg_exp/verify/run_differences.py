@@ -10,19 +10,21 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes, same
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import read_bytes, read_json, sha256
+from wheelleg_exp.files import read_bytes, sha256
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_config import ROBOT, load_params, written_config
+from wheelleg_exp.run.records import ProcessFacts, Resume
+from wheelleg_exp.run.run_config import ROBOT, load_params, recorded_robot, written_config
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.source_changes import describe_changes, first_few
-from wheelleg_exp.run.source_snapshot import RECORD_NAME, source_entries
+from wheelleg_exp.run.source_changes import SourceRecord, describe_changes, first_few
+from wheelleg_exp.run.source_restore import load_source
 from wheelleg_exp.terms.key_syntax import Keys
 
 # ``_HARMLESS`` settings change files, speed, or buffer sizes, but no computed number.
@@ -48,12 +50,12 @@ def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
     return plain_changes(_robot(a), _robot(b))
 
 
-def plain_changes(a: Any, b: Any, keys: Keys = ()) -> list[Change]:
+def plain_changes(a: object, b: object, keys: Keys = ()) -> list[Change]:
     """Return how two nested mappings differ: in values, compared bit for bit, and in the order of inner mappings."""
     return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
 
 
-def as_dict(change: Change) -> dict[str, Any]:
+def as_dict(change: Change) -> dict[str, object]:
     """Return a JSON document that describes a setting that differs between two runs."""
     # JSON has no value for a missing key, so write a missing value as text.
     a, b = (str(value) if value is ABSENT else value for value in (change.a, change.b))
@@ -65,7 +67,7 @@ def changes_text(changes: Sequence[Change]) -> str:
     return first_few([f"{change.key} ({brief(change.a)} and {brief(change.b)})" for change in changes])
 
 
-def brief(value: Any) -> str:
+def brief(value: object) -> str:
     """Return a config value as one short line of text; shorten a manager term to the name of its function or class."""
     if isinstance(value, Mapping) and "_target_" in value:
         value = str(value["_target_"]).rsplit(".", 1)[-1]
@@ -73,34 +75,34 @@ def brief(value: Any) -> str:
     return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
 
 
-def _settings(run: RunDirectory) -> dict[str, Any]:
+def _settings(run: RunDirectory) -> dict[str, object]:
     env, agent = load_params(run)
-    data = run.manifest().data
-    changed = [[entry.get("iteration"), changes] for entry in data["resumes"] if (changes := _resume_changes(entry))]
-    settings: dict[str, Any] = {"seed": data.get("seeds"), "task": data["task"], "env": env, "agent": agent}
+    facts = run.manifest().facts
+    changed = [[entry.iteration, changes] for entry in facts.resumes if (changes := _resume_changes(entry))]
+    settings: dict[str, object] = {"seed": list(facts.seeds), "task": facts.task, "env": env, "agent": agent}
     settings["resumed with other settings"] = changed
     config = written_config(run)
     return {**settings, "recording": config["recording"]} if "recording" in config else settings
 
 
-def _resume_changes(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _resume_changes(entry: Resume) -> dict[str, object]:
     """Return the settings that a resume changed, without settings that cannot change a computed number."""
-    changed = {str(change.get("key")): change.get("now") for change in entry.get("changes") or ()}
+    changed = {change.get("key", ""): change.get("now") for change in entry.changes}
     return {key: value for key, value in changed.items() if decides(tuple(key.split(".")))}
 
 
-def _robot(run: RunDirectory) -> dict[str, Any]:
-    mjcf, identity = run.asset / "robot.xml", run.path / ROBOT
+def _robot(run: RunDirectory) -> dict[str, object]:
+    mjcf = run.asset / "robot.xml"
     try:
-        known = read_json(identity) if identity.is_file() else {}
+        known = recorded_robot(run) if (run.path / ROBOT).is_file() else None
         digest = sha256(mjcf) if mjcf.is_file() else None
     except RunDirectoryError as error:
         return {"damaged": str(error)}
-    known = known if isinstance(known, Mapping) else {}
-    return {"sources": known.get("sources"), "robot.xml": digest, "compiled model": known.get("model_sha256")}
+    sources, model = (known.sources, known.model_sha256) if known else (None, None)
+    return {"sources": sources, "robot.xml": digest, "compiled model": model}
 
 
-def _reordered(keys: Keys, a: Any, b: Any) -> Iterator[Change]:
+def _reordered(keys: Keys, a: object, b: object) -> Iterator[Change]:
     if not (isinstance(a, Mapping) and isinstance(b, Mapping)):
         return
     ones, others = ([name for name in x if name in y and isinstance(x[name], Mapping)] for x, y in ((a, b), (b, a)))
@@ -110,7 +112,7 @@ def _reordered(keys: Keys, a: Any, b: Any) -> Iterator[Change]:
         yield from _reordered((*keys, str(name)), a[name], b[name])
 
 
-def _same(a: Any, b: Any) -> bool:
+def _same(a: object, b: object) -> bool:
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, float) and isinstance(b, float):
@@ -155,20 +157,20 @@ class FactDifference:
 
     section: str  # The kind of fact that differs, such as ``versions``, ``hardware``, ``code``, or ``resumed``.
     name: str
-    a: Any  # ``a`` is the fact's value in run A, such as a CPU model; a list if a resume changed the value.
-    b: Any
+    a: object  # ``a`` is the fact's value in run A, such as a CPU model; a list if a resume changed the value.
+    b: object
     allows: str | None = None  # ``allows`` says why rounding errors can differ, such as ``another CPU``.
     forbids: bool = False  # True if a difference such as other code can change numbers by more than rounding errors.
     note: str = ""  # A text that describes how the source code of two runs differs.
 
 
 def environment_differences(
-    a: Mapping[str, Any], b: Mapping[str, Any], unknown: Collection[str] = ()
+    a: Sequence[ProcessFacts], b: Sequence[ProcessFacts], unknown: Collection[str] = ()
 ) -> list[FactDifference]:
-    """Return how two runs' manifests differ in versions, modules, hardware, threads, and environment variables.
+    """Return how the processes of two runs differ in versions, modules, hardware, threads, and environment variables.
 
-    If one manifest lacks a section, such as ``hardware``, this section is not compared. Facts in ``unknown``, such as
-    ``torch_cpu_capability``, are not compared.
+    If one run did not record a section, such as ``hardware``, this section is not compared. Facts in ``unknown``, such
+    as ``torch_cpu_capability``, are not compared.
     """
     found = []
     for section in SECTIONS:
@@ -186,21 +188,19 @@ def environment_differences(
 def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
     """Return how two runs differ in code, environment, and installed Python packages."""
     one, other = a.manifest(), b.manifest()
-    facts = environment_differences(one.data, other.data)
+    facts = environment_differences(one.facts.processes, other.facts.processes)
     listed = {_normal(difference.name) for difference in facts if difference.section == "versions"}
     ones, others = _installed(a), _installed(b)
     names = sorted({*ones, *others} - listed) if ones and others else []
     facts_of = [(name, ones.get(name), others.get(name)) for name in names]
     more = [FactDifference("distributions", name, one, two) for name, one, two in facts_of if one != two]
-    return [*_code_differences(_code(a, one), _code(b, other)), *_resume_differences(one, other), *facts, *more]
+    return [*_code_differences(source_of(a, one), source_of(b, other)), *_resume_differences(one, other), *facts, *more]
 
 
-def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] | None:
+def _values(processes: Sequence[ProcessFacts], section: str) -> dict[str, list[object]] | None:
     """Return all values of each fact, such as ``cpu``, in the processes that started and resumed a run."""
-    before = [entry.get("before") for entry in manifest.get("resumes") or () if isinstance(entry, dict)]
-    processes = [process for process in (*before, manifest) if isinstance(process, Mapping)]
-    tables = [process[section] for process in processes if isinstance(process.get(section), Mapping)]
-    values: dict[str, list[Any]] = {}
+    tables = [table for process in processes if (table := getattr(process, section)) is not None]
+    values: dict[str, list[object]] = {}
     for name in dict.fromkeys(name for table in tables for name in table):
         for value in (table.get(name) for table in tables):
             if value not in values.setdefault(name, []):
@@ -208,50 +208,49 @@ def _values(manifest: Mapping[str, Any], section: str) -> dict[str, list[Any]] |
     return values if tables else None
 
 
-def _allows(section: str, name: str, a: list[Any], b: list[Any], manifests: tuple[Any, Any]) -> str | None:
+def _allows(
+    section: str, name: str, a: list[object], b: list[object], runs: Iterable[Sequence[ProcessFacts]]
+) -> str | None:
     if (section, name) == ("threads", "torch"):
-        return None if all(map(_independent, manifests)) else _THREADS_OF_TORCH
+        return None if all(map(_independent, runs)) else _THREADS_OF_TORCH
     if (section, name) == ("hardware", "platform") and [*map(_library, a)] == [*map(_library, b)]:
         return None  # Two platforms that differ only in the Linux kernel's version count as equal.
     return _ALLOWING.get(section, {}).get(name)
 
 
-def _independent(manifest: Mapping[str, Any]) -> bool:
-    """Return whether the manifest shows that results do not depend on the number of torch threads."""
-    recorded = (_values(manifest, "threads") or {}).get("independent")
+def _independent(processes: Sequence[ProcessFacts]) -> bool:
+    """Return whether the processes recorded that results do not depend on the number of torch threads."""
+    recorded = (_values(processes, "threads") or {}).get("independent")
     if recorded is not None:
         return all(value is True for value in recorded)
-    modes = (_values(manifest, "environment_variables") or {}).get("MKL_CBWR", [])
+    modes = (_values(processes, "environment_variables") or {}).get("MKL_CBWR", [])
     return bool(modes) and all(str(mode).endswith(",STRICT") and "COMPATIBLE" not in str(mode) for mode in modes)
 
 
-def _library(platform: Any) -> str:
+def _library(platform: object) -> str:
     """Return the operating system and C library from ``platform.platform()``, without the kernel version."""
     system, _, library = str(platform).partition("-with-")
     return f"{system.split('-')[0]} {library}" if library else str(platform)
 
 
-def _code(run: RunDirectory, manifest: Manifest) -> list[Mapping[str, Any]]:
+def source_of(run: RunDirectory, manifest: Manifest) -> list[SourceRecord]:
     """Return the recorded git state of each repository whose code a run used; the main repository is the first."""
-    path = run.source / RECORD_NAME
-    try:
-        record = read_json(path) if path.is_file() else manifest.data.get("source")
-    except RunDirectoryError:
-        record = manifest.data.get("source")
-    return source_entries(record)
+    with suppress(RunDirectoryError):
+        return load_source(run)
+    return [manifest.facts.source or SourceRecord()]
 
 
-def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) -> Iterator[FactDifference]:
-    for number in range(max(len(a), len(b), 1)):
-        one, other = (side[number] if number < len(side) else {} for side in (a, b))
+def _code_differences(a: list[SourceRecord], b: list[SourceRecord]) -> Iterator[FactDifference]:
+    for number, (one, other) in enumerate(zip_longest(a, b)):
+        was, now = ({} if record is None else vars(record) for record in (one, other))
         # Two source trees with equal git tree ids or hashes contain equal files, even if their commits differ.
-        if any(one.get(key) is not None and one.get(key) == other.get(key) for key in ("tree", "content_sha256")):
+        if any(was.get(key) is not None and was.get(key) == now.get(key) for key in ("tree", "content_sha256")):
             continue
         mark = f" ({number + 1})" if number else ""
-        facts = [name for name in _CODE if one.get(name) != other.get(name)]
+        facts = [name for name in _CODE if was.get(name) != now.get(name)]
         note = describe_changes(one, other, (configs_dir().parent, Path.cwd()))
         for name in facts:
-            yield FactDifference("code", name + mark, one.get(name), other.get(name), forbids=True, note=note)
+            yield FactDifference("code", name + mark, was.get(name), now.get(name), forbids=True, note=note)
         if not facts:  # Without hashes, equal source records do not prove equal source files.
             yield FactDifference("code", UNKNOWN_CODE + mark, None, None, forbids=True)
 
@@ -259,26 +258,24 @@ def _code_differences(a: list[Mapping[str, Any]], b: list[Mapping[str, Any]]) ->
 def _resume_differences(a: Manifest, b: Manifest) -> Iterator[FactDifference]:
     """Yield resumes that were not exact, with the reasons: other code, or another machine."""
     # Group resumes by the iteration from which they start, because several resumes can start from one checkpoint.
-    inexact: tuple[dict[str, list[Mapping[str, Any]]], ...] = ({}, {})
+    inexact: tuple[dict[str, list[Resume]], ...] = ({}, {})
     for found, manifest in zip(inexact, (a, b), strict=True):
-        for entry in manifest.data["resumes"]:
-            if entry.get("exact") is False:
-                found.setdefault(f"from iteration {entry.get('iteration')}", []).append(entry)
+        for entry in manifest.facts.resumes:
+            if entry.exact is False:
+                found.setdefault(f"from iteration {entry.iteration}", []).append(entry)
     for name in dict.fromkeys([*inexact[0], *inexact[1]]):
         one, other = (
-            "; ".join("; ".join(entry.get("why") or ()) or "not exactly" for entry in side.get(name, ())) or None
-            for side in inexact
+            "; ".join("; ".join(entry.why) or "not exactly" for entry in side.get(name, ())) or None for side in inexact
         )
         if one != other:
             entries = [entry for side in inexact for entry in side.get(name, ())]
             yield FactDifference("resumed", name, one, other, forbids=not all(map(is_the_machine, entries)))
 
 
-def is_the_machine(entry: Mapping[str, Any]) -> bool:
+def is_the_machine(entry: Resume) -> bool:
     """Return whether a resume was inexact only because the computer or the package versions had changed."""
-    differences = entry.get("differences") or ()
-    sections = {d.get("section") if isinstance(d, Mapping) else None for d in differences}
-    return bool(sections) and sections <= set(SECTIONS) and len(differences) == len(entry.get("why") or ())
+    sections = {difference.get("section") for difference in entry.differences}
+    return bool(sections) and sections <= set(SECTIONS) and len(entry.differences) == len(entry.why)
 
 
 def _installed(run: RunDirectory) -> dict[str, str]:

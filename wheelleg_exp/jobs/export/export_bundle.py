@@ -170,7 +170,7 @@ def export(
         require_new(output)
     target = run.exported / kind if output is None else output.absolute()
     with for_people(target), temporary_folder(target) as work:
-        margins = margins_of(run.manifest().data["additions"], sha256(checkpoint))
+        margins = margins_of(run.manifest().facts.additions, sha256(checkpoint))
         differences, notes = _fill(work, run, checkpoint, kind, margins)
         sync_folder(work)
         number, place = 1, target

@@ -31,7 +31,7 @@ def resume_pipeline(
     is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or an override is
     invalid, ``resume_pipeline`` raises an error and writes nothing.
     """
-    if index.data["status"] == "running" and is_alive(index.data.get("process") or {}):
+    if index.data["status"] == "running" and is_alive(index.data.get("process")):
         message = "this pipeline is still running"
         raise RunDirectoryError(message, key=str(index.path), expected="one that has ended: wait for it")
     if index.data["status"] == "finished":
@@ -64,7 +64,7 @@ def resume_pipeline(
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
     with placing(overrides):
         _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
-    for phase in index.phases:
+    for phase in index.data["phases"]:
         if phase["status"] == "failed":
             phase |= _retry(phase, declared.tree["phases"][phase["name"]], found)
     index.data["config_dirs"] = [str(folder) for folder in folders]

@@ -39,7 +39,7 @@ from wheelleg_exp.jobs.pipeline.pipeline_settings import (
 from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.run_index import PipelineIndex, PipelineStatus
+from wheelleg_exp.run.run_index import PhaseEntry, PipelineIndex, PipelineStatus
 from wheelleg_exp.run.timestamps import utc_now, utc_text
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.terms.config_sections import read_section
@@ -121,7 +121,7 @@ class PipelineRunner:
             source = run / f"model_{entry['trained'] - 1}.pt"
         return "finished", None
 
-    def _phase(self, entry: dict[str, Any], phase: Phase, source: Path | None) -> str | None:
+    def _phase(self, entry: PhaseEntry, phase: Phase, source: Path | None) -> str | None:
         """Train one phase, and evaluate the phase's policy regularly; return why the pipeline must stop, or None."""
         while True:
             target = self._target(entry, phase)
@@ -140,11 +140,11 @@ class PipelineRunner:
                 when = "training" if last else f"{target} iterations"
                 return self._end(entry, passed=True, why=f"the gate was passed {times}, after {when}")
 
-    def _end(self, entry: dict[str, Any], *, passed: bool, why: str) -> str | None:
+    def _end(self, entry: PhaseEntry, *, passed: bool, why: str) -> str | None:
         self._index.update(entry, status="passed" if passed else "failed", why=why)
         return None if passed else why
 
-    def _target(self, entry: Mapping[str, Any], phase: Phase) -> int:
+    def _target(self, entry: PhaseEntry, phase: Phase) -> int:
         """Return the iteration count at which the training of ``phase`` pauses for an evaluation or ends."""
         every = phase.gate.every if phase.gate is not None else None
         if not every:
@@ -154,7 +154,7 @@ class PipelineRunner:
         steps = max(1, -(-(self._index.done(entry) - judged) // every))
         return min(phase.max_iterations, judged + every * steps)
 
-    def _train(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> None:
+    def _train(self, entry: PhaseEntry, phase: Phase, source: Path | None, target: int) -> None:
         if entry["trained"] >= target:
             return
         run = self._index.run_of(entry)
@@ -166,7 +166,7 @@ class PipelineRunner:
             self._perform(self._request("resume", [override], command, run=str(run)), entry)
         self._index.update(entry, trained=target)
 
-    def _new(self, entry: dict[str, Any], phase: Phase, source: Path | None, target: int) -> JobRequest:
+    def _new(self, entry: PhaseEntry, phase: Phase, source: Path | None, target: int) -> JobRequest:
         words = phase_overrides(entry["name"], phase, self._index.data["overrides"])
         if digest_of(compose_valid(words, config_dirs=self._folders)) != entry["digest"]:
             self._display.note(f"note: {entry['name']}: its config has changed since the pipeline started")
@@ -182,7 +182,7 @@ class PipelineRunner:
         folders = [str(folder) for folder in self._folders]
         return JobRequest(kind, overrides, folders, command, root=str(self._index.root), **facts)
 
-    def _judge(self, entry: dict[str, Any], gate: Gate, iteration: int, *, last: bool) -> None:
+    def _judge(self, entry: PhaseEntry, gate: Gate, iteration: int, *, last: bool) -> None:
         run = self._index.run_of(entry)
         assert run is not None
         name = f"model_{iteration - 1}.pt"
@@ -202,7 +202,7 @@ class PipelineRunner:
         outcome = ("passed" if verdict.passed else "not passed") + why
         self._display.note(f"{entry['name']}: gate after {iteration} iterations {outcome}")
 
-    def _perform(self, request: JobRequest, entry: dict[str, Any]) -> dict[str, Event]:
+    def _perform(self, request: JobRequest, entry: PhaseEntry) -> dict[str, Event]:
         """Train, resume, or evaluate a run in a child process; return the child's last message of each type."""
         last: dict[str, Event] = {}
         if self._stop.requested:
@@ -217,7 +217,7 @@ class PipelineRunner:
             raise
         return last
 
-    def _hear(self, event: Event, entry: dict[str, Any]) -> None:
+    def _hear(self, event: Event, entry: PhaseEntry) -> None:
         kind = event["event"]
         if kind == "run":
             self._index.update(entry, run=self._index.relative(Path(event["path"])))

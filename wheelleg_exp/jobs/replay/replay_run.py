@@ -29,6 +29,7 @@ from wheelleg_exp.run.environment import hardware, replay_environ, requested_var
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.iteration_log import read_log
 from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
+from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_config import OVERRIDES, recorded_config
 from wheelleg_exp.run.run_directory import NEEDED, REPLAYS, RunDirectory
 from wheelleg_exp.run.run_lock import is_alive
@@ -42,7 +43,7 @@ _SNAPSHOT_FILES = (*NEEDED, OVERRIDES, "source/git.json")
 
 def iterations_to_train(run: RunDirectory, manifest: Manifest, wanted: int | None) -> int:
     """Return how many iterations a replay trains: those of the run, or fewer."""
-    if manifest.status == "running" and is_alive(manifest.data.get("process") or {}):
+    if manifest.status == "running" and is_alive(manifest.facts.process):
         raise RunDirectoryError(f"run '{run.id}' is still running", expected="a run that has ended")
     there = len(read_log(run.iterations).lines)
     if not there:
@@ -57,12 +58,12 @@ def require_whole_snapshot(run: RunDirectory, manifest: Manifest) -> None:
     if manifest.matches_digest() is False:
         message = "the manifest was changed after the run wrote it"
         raise RunDirectoryError(message, where=str(run.path / MANIFEST_NAME), expected="an unchanged run")
-    processes = int((manifest.data.get("ranks") or {}).get("world_size", 1))
+    processes = manifest.facts.ranks.world_size if manifest.facts.ranks else 1
     if processes > 1:
         message = f"run '{run.id}' was trained by {processes} processes, and a replay trains with one"
         expected = "'wheelleg train' again with the recorded command under torchrun, and 'wheelleg verify A B'"
         raise RunDirectoryError(message, expected=expected)
-    recorded = {name: entry for name, entry in manifest.data["files"].items() if name.startswith(SNAPSHOT)}
+    recorded = {name: entry for name, entry in manifest.facts.files.items() if name.startswith(SNAPSHOT)}
     absent = next((name for name in _SNAPSHOT_FILES if name not in recorded), None)
     if absent is not None:
         message = f"the snapshot of run '{run.id}' is not whole: its manifest names no {absent}"
@@ -103,7 +104,7 @@ class Replayed:
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the result of the replay as one JSON document."""
         return {
             "run": str(self.original.path),
@@ -149,12 +150,12 @@ def replay(
         notes = [f"{name} {what}: a damaged file is never identical" for name, what in measure(run).damage.items()]
         notes += [*_resume_notes(manifest), *source.notes]
         environ = _environ(run, manifest)
-        now = {"versions": versions(), "hardware": hardware(), "environment_variables": variables(environ)}
-        machine = environment_differences(manifest.data, now, UNKNOWN_BEFORE_TORCH)
+        now = ProcessFacts(versions=versions(), hardware=hardware(), environment_variables=variables(environ))
+        machine = environment_differences(manifest.facts.processes, [now], UNKNOWN_BEFORE_TORCH)
         _report(display, source, machine, notes)
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
-        folder = source.now(str(manifest.data.get("working_directory") or "/"))
+        folder = source.now(manifest.facts.working_directory or "/")
         # If the restored source code lacks the run's working directory, train in an empty folder.
         if not (folder.is_dir() and folder.is_relative_to(workplace)):
             folder = workplace / "here"
@@ -188,16 +189,16 @@ def _restored(run: RunDirectory, workplace: Path, repositories: Sequence[Path], 
 
 def _resume_notes(manifest: Manifest) -> list[str]:
     """Return notes about the resumes of a run, because a replay trains without interruption."""
-    entries = manifest.data["resumes"]
+    entries = manifest.facts.resumes
     notes = []
     if entries:
         times = {1: "once", 2: "twice"}.get(len(entries), f"{len(entries)} times")
         notes.append(f"the run was stopped and resumed {times}; the replay trains without a stop")
     for entry in entries:
-        if entry.get("exact", not entry.get("overrides")):
+        if not entry.overrides if entry.exact is None else entry.exact:
             continue
-        at = f" before iteration {entry['iteration']}" if entry.get("iteration") is not None else ""
-        why = "; ".join(map(str, entry.get("why") or ())) or " ".join(map(str, entry.get("overrides") or ()))
+        at = f" before iteration {entry.iteration}" if entry.iteration is not None else ""
+        why = "; ".join(entry.why) or " ".join(entry.overrides)
         text = f"a resume{at} was not exact ({why}): the replay uses the last config from its start, so that its "
         notes.append(text + "numbers will differ")
     return notes
@@ -207,7 +208,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     recorded = _recorded_variables(manifest)
     asked_for = requested_variables([read_text(run.hydra / "config.yaml")])
     environ = replay_environ(recorded, also=asked_for)
-    if manifest.data.get("config_variables") is None:
+    if manifest.facts.config_variables is None:
         return environ
     # Remove environment variables that the config reads but that were not set in the original run.
     # Keep variables with secrets (such as API keys), because no manifest records them.
@@ -221,8 +222,7 @@ def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
 
 
 def _recorded_variables(manifest: Manifest) -> dict[str, str]:
-    kept = manifest.data.get("environment_variables"), manifest.data.get("config_variables")
-    return {name: value for known in kept for name, value in (known or {}).items()}
+    return {**(manifest.facts.environment_variables or {}), **(manifest.facts.config_variables or {})}
 
 
 def _report(display: Display, source: RestoredSource, machine: list[FactDifference], notes: list[str]) -> None:
@@ -259,7 +259,7 @@ def _workplace(keep: bool) -> Iterator[Path]:
 
 def _id(run: RunDirectory, manifest: Manifest) -> str:
     """Return the run's id from its manifest, because the folder of a copied run can have a new name."""
-    return str(manifest.data.get("id") or run.id)
+    return manifest.facts.id or run.id
 
 
 def _request(
@@ -277,7 +277,7 @@ def _request(
         "replay_of": _id(run, manifest),
         "replay": {
             "manifest_sha256": sha256(run.path / MANIFEST_NAME),
-            "snapshot": {k: v["sha256"] for k, v in manifest.data["files"].items() if k.startswith(SNAPSHOT)},
+            "snapshot": {k: v["sha256"] for k, v in manifest.facts.files.items() if k.startswith(SNAPSHOT)},
             "iterations": until,
             "source": source.facts(),
         },

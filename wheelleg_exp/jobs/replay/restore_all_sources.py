@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_yaml
@@ -15,7 +14,8 @@ from wheelleg_exp.jobs.replay.restored_imports import ENTRIES
 from wheelleg_exp.packages import CONFIGS, is_there, read_project
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.source_restore import find_origin, restore_source, source_records
+from wheelleg_exp.run.source_changes import SourceRecord
+from wheelleg_exp.run.source_restore import find_origin, load_source, restore_source
 from wheelleg_exp.run.source_snapshot import content_digest, is_installed
 
 PACKAGE = "wheelleg_exp"
@@ -53,22 +53,22 @@ class RestoredSource:
         root = max(found, key=len)
         return self.moved[root] / Path(path).relative_to(root)
 
-    def facts(self) -> list[dict[str, Any]]:
+    def facts(self) -> list[dict[str, object]]:
         """Return the path, the commit, and the origin of each restored source folder as a dictionary."""
         return [asdict(tree) for tree in self.trees]
 
 
 def describe_code(run: RunDirectory) -> str:
     """Return a sentence about the source code that a replay of the run executes."""
-    main, *others = source_records(run)
-    if main["commit"]:
-        patch = f" plus the run's patch ({main['patch_bytes']} bytes)" if main["patch_bytes"] else ""
-        code = f"the code of commit {main['commit'][:12]}{patch}"
-    elif main["patch"]:
-        code = f"the code that the run recorded ({main['patch_bytes']} bytes)"
+    main, *others = load_source(run)
+    if main.commit:
+        patch = f" plus the run's patch ({main.patch_bytes} bytes)" if main.patch_bytes else ""
+        code = f"the code of commit {main.commit[:12]}{patch}"
+    elif main.patch:
+        code = f"the code that the run recorded ({main.patch_bytes} bytes)"
     else:
         code = f"the installed {PACKAGE}"
-    further = sum(1 for entry in others if entry["patch"])
+    further = sum(1 for entry in others if entry.patch)
     more = f", and the code of {further} more source folder{'s' if further > 1 else ''} of it" if further else ""
     return f"replay runs {code}{more}, with all the rights of this user"
 
@@ -81,9 +81,9 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
     replay.
     """
     source = RestoredSource()
-    for number, record in enumerate(source_records(run)):
-        candidates = [*repositories, Path(record["root"] or "."), configs_dir().parent, Path.cwd()]
-        if record["patch"] is not None:
+    for number, record in enumerate(load_source(run)):
+        candidates = [*repositories, Path(record.root or "."), configs_dir().parent, Path.cwd()]
+        if record.patch is not None:
             _restore(run, number, record, workplace, candidates, source)
         elif number == 0:
             _use_installed(record, source)
@@ -97,10 +97,11 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
 
 
 def _restore(
-    run: RunDirectory, number: int, record: dict[str, Any], work: Path, clones: list[Path], source: RestoredSource
+    run: RunDirectory, number: int, record: SourceRecord, work: Path, clones: list[Path], source: RestoredSource
 ) -> None:
     # Give the restored source folder the original folder's name, because imports can depend on the name.
-    name = _UNSAFE.sub("_", Path(record["root"]).name).strip(".") or "source"
+    root = record.root or "."
+    name = _UNSAFE.sub("_", Path(root).name).strip(".") or "source"
     destination = work / "source" / str(number) / name
     with for_people(destination.parent):
         destination.parent.mkdir(parents=True)
@@ -112,13 +113,13 @@ def _restore(
         _use_in_place(record, source)
         return
     tree, place = restore_source(run, destination, origin, which=number), str(origin) if origin else None
-    source.trees.append(RestoredTree(record["root"], "restored", record["commit"], tree, place))
-    source.moved[record["root"]] = destination
-    folders = [destination / name for name in record["folders"]]
+    source.trees.append(RestoredTree(root, "restored", record.commit, tree, place))
+    source.moved[root] = destination
+    folders = [destination / name for name in record.folders]
     if number == 0:
         folder = folders[0]
         if not any((folder / PACKAGE / f"{entry}.py").is_file() for entry in ENTRIES):
-            version = record["commit"][:12] if record["commit"] else "the run's source"
+            version = record.commit[:12] if record.commit else "the run's source"
             raise RunDirectoryError(
                 f"the source code of {version} is too old for a replay, because {PACKAGE}/{ENTRIES[-1]}.py is missing",
                 expected=f"a newer run; this one repeats by hand: check {version} out, apply source/source.patch, "
@@ -126,10 +127,10 @@ def _restore(
             )
         source.places[PACKAGE] = folders.pop(0)
     # Add a note to the replay's output for each source file that the original run did not store.
-    for entry in record["refused"]:
+    for entry in record.refused:
         now = "is as committed" if os.path.lexists(destination / entry["path"]) else "is missing"
         source.notes.append(f"'{entry['path']}' was not captured with the run ({entry['reason']}) and {now}")
-    nested = [entry["path"] for entry in record["submodules"]]
+    nested = [entry["path"] for entry in record.submodules]
     if nested:
         source.notes.append(f"submodules were not captured with the run, and are empty: {', '.join(nested)}")
     source.source_roots += folders
@@ -149,44 +150,44 @@ def _register(folder: Path, source: RestoredSource) -> None:
         source.places.setdefault(folder.name, folder.parent)
 
 
-def _use_installed(record: dict[str, Any], source: RestoredSource) -> None:
-    if record["status"] != "installed":
-        message = f"the source of the run was not captured ({record['status']}): {record['note']}"
+def _use_installed(record: SourceRecord, source: RestoredSource) -> None:
+    if record.status != "installed":
+        message = f"the source of the run was not captured ({record.status}): {record.note}"
         raise RunDirectoryError(message, expected="a run whose source was captured")
     package = configs_dir().parent
-    if not is_installed(package) or content_digest(package) != record["content_sha256"]:
+    if not is_installed(package) or content_digest(package) != record.content_sha256:
         what = f"its files are not those of '{package}', which trains now"
         source.notes.append(f"the run was made by an installed {PACKAGE}; {what}")
-    source.trees.append(RestoredTree(record["root"], "installed"))
+    source.trees.append(RestoredTree(record.root or ".", "installed"))
     source.places[PACKAGE] = Path(__file__).resolve().parents[3]
 
 
-def _use_in_place(record: dict[str, Any], source: RestoredSource) -> None:
+def _use_in_place(record: SourceRecord, source: RestoredSource) -> None:
     """Use the present files of a source folder that the run did not save; if they may have changed, add a note."""
-    root, status = Path(record["root"] or "."), record["status"]
-    digest = record["content_sha256"]
+    root, status = Path(record.root or "."), record.status
+    digest = record.content_sha256
     unchanged = digest is not None and root.exists() and content_digest(root) == digest
-    if unchanged or (status == "no_repository" and not record["patch"] and root.exists()):
+    if unchanged or (status == "no_repository" and not record.patch and root.exists()):
         if not unchanged:
             source.notes.append(f"'{root}' was not captured with the run, and is used as it is now")
         source.trees.append(RestoredTree(str(root), "in place"))
         source.source_roots.append(root)
         return
     if status == "installed":
-        name = record.get("distribution") or str(root)
+        name = record.distribution or str(root)
         source.notes.append(f"the run used the installed {name}; the package installed here may differ")
     else:
-        missing = f"no repository here contains commit {str(record['commit'])[:12]}; see --repository"
-        reason = missing if record["patch"] else status
+        missing = f"no repository here contains commit {str(record.commit)[:12]}; see --repository"
+        reason = missing if record.patch else status
         instead = "an installed package replaces it, if there is one"
         source.notes.append(f"'{root}' cannot be restored ({reason}); {instead}")
-    source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record["commit"]))
+    source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record.commit))
 
 
 def _recorded_config_dirs(run: RunDirectory) -> list[str]:
-    known = run.manifest().data.get("config_dirs")
+    known = run.manifest().facts.config_dirs
     if known is not None:
-        return [str(folder) for folder in known]
+        return list(known)
     try:
         sources = read_yaml(run.hydra / "hydra.yaml")["hydra"]["runtime"]["config_sources"]
         return [str(entry["path"]) for entry in sources if entry["schema"] == "file" and entry["provider"] != "main"]

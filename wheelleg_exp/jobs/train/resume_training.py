@@ -31,7 +31,7 @@ from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import CONFIG
 from wheelleg_exp.run.run_directory import NEEDED, RunDirectory
-from wheelleg_exp.run.run_lock import RunLock, is_alive, this_process
+from wheelleg_exp.run.run_lock import ProcessId, RunLock, is_alive, this_process
 from wheelleg_exp.run.start_run import complete_snapshot
 from wheelleg_exp.terms.term_binding import NotAllowed
 from wheelleg_exp.verify.run_differences import decides
@@ -200,7 +200,7 @@ def _prepare(
 
 def _require_ended(manifest: Manifest, display: Display) -> None:
     """Check that the run's process has ended, because locks do not work on every file system."""
-    process = manifest.data.get("process") or {}
+    process = manifest.facts.process or ProcessId()
     if manifest.status != "running":
         return
     alive = is_alive(process)

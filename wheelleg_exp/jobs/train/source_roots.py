@@ -8,6 +8,7 @@ uninterrupted run.
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import sys
 import sysconfig
 import tempfile
@@ -20,10 +21,11 @@ from wheelleg_exp.files import sha256
 from wheelleg_exp.packages import installed_packages, is_trusted, joined_packages, project_of, read_project, real_path
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.run import environment
+from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.run.source_changes import describe_changes
-from wheelleg_exp.run.source_restore import source_records
-from wheelleg_exp.run.source_snapshot import is_installed, snapshot_source, source_entries
+from wheelleg_exp.run.source_changes import SourceRecord, describe_changes
+from wheelleg_exp.run.source_restore import load_source
+from wheelleg_exp.run.source_snapshot import is_installed, snapshot_source
 from wheelleg_exp.verify.run_differences import SECTIONS, FactDifference, environment_differences
 
 _PACKAGE = "wheelleg_exp"
@@ -139,41 +141,43 @@ def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: 
     Differences in hardware, threads, or environment variables are returned only if they can change training results.
     ``threads`` is the dictionary that ``set_threads`` returned for this process.
     """
-    now: dict[str, Any] = {"versions": environment.versions(), "hardware": environment.hardware(), "threads": threads}
-    now |= {"environment_variables": environment.variables(), "modules": module_digests()}
-    facts = environment_differences(run.manifest().data, now)
+    now = ProcessFacts(
+        versions=environment.versions(),
+        hardware=environment.hardware(),
+        threads=threads,
+        environment_variables=environment.variables(),
+        modules=module_digests(),
+    )
+    facts = environment_differences(run.manifest().facts.processes, [now])
     return _source_differences(run, config_dirs) + [f for f in facts if f.section in SECTIONS[:2] or f.allows]
 
 
 def _source_differences(run: RunDirectory, config_dirs: Sequence[Path]) -> list[FactDifference]:
-    recorded = source_records(run)
+    recorded = load_source(run)
     with tempfile.TemporaryDirectory() as folder:
-        present = source_entries(snapshot_source(_run_roots(run, config_dirs), Path(folder), runs_root=run.root))
+        present = snapshot_source(_run_roots(run, config_dirs), Path(folder), runs_root=run.root)
     found = []
-    for number in range(max(len(recorded), len(present))):
-        was, now = (side[number] if number < len(side) else {} for side in (recorded, present))
+    for number, (was, now) in enumerate(itertools.zip_longest(recorded, present)):
         (key, before), (key_now, after) = _identity(was), _identity(now)
         if (key, before) != (key_now, after) or not before:
-            note = describe_changes(was, now, [Path(now["root"])] if now.get("root") else [])
+            note = describe_changes(was, now, [Path(now.root)] if now and now.root else [])
             name = f"{key if key == key_now else 'source'} ({number + 1})"
             found.append(FactDifference("source", name, before or key, after or key_now, note=note))
     return found
 
 
-def _identity(record: Mapping[str, Any]) -> tuple[str, str]:
+def _identity(record: SourceRecord | None) -> tuple[str, str]:
     """Return the git tree or content hash of a recorded source folder, as a pair of name and value."""
-    if not record:
+    if record is None:
         return "(not kept)", ""
-    key = "tree" if record["tree"] else "content_sha256"
-    return key, str(record.get(key) or "")
+    return ("tree", record.tree) if record.tree else ("content_sha256", record.content_sha256 or "")
 
 
 def _run_roots(run: RunDirectory, config_dirs: Sequence[Path]) -> list[Path]:
     """Return the present places of the run's source roots: this package's, then the projects of the config folders."""
     # Recorded source folders are used only if the user trusts them, or if they are installed or imported here.
     projects = [folder.parent if read_project(folder.parent) else folder for folder in config_dirs]
-    records = [record for record in source_records(run) if record["root"] is not None]
-    recorded = [Path(record["root"]) / name for record in records for name in record["folders"]]
+    recorded = [Path(record.root) / name for record in load_source(run) if record.root for name in record.folders]
     known = [configs_dir().parent, *projects]
     installed = [root for name in installed_packages() if (root := _package_root(name)) is not None]
     used = {real_path(path) for path in [*loaded_outside(known), *installed]}
