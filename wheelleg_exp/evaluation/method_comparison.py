@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -109,9 +108,9 @@ class Difference:
             return ""
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the difference of two methods as a dictionary for JSON, in which None replaces NaN and inf."""
-        return plain({**asdict(self), "outcome": self.outcome})
+        return {key: plain(value) for key, value in {**asdict(self), "outcome": self.outcome}.items()}
 
 
 # --- intervals ---

@@ -35,7 +35,7 @@ class Figure:
     unit: str = ""
     better: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the metric as a dictionary for JSON, in which None replaces NaN and inf."""
         return {key: plain(value) for key, value in asdict(self).items()}
 
@@ -59,7 +59,7 @@ class Evaluation:
     metrics: Mapping[str, Figure]
     about: Mapping[str, Any] = field(default_factory=dict)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the metrics and properties of an evaluation, without its episodes, as a dictionary for JSON."""
         head = {"format": FORMAT, "protocol": dict(self.protocol), "seed": self.seed}
         digests = {"scenarios_sha256": self.scenarios_sha256, "starts_sha256": dict(self.starts_sha256)}

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.sim.rotation import wrap_to_pi
-from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.sim.sensors.contact_sensor import ContactSensor
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class StandFigures:
         """The number of environments in which the first episode has ended."""
         return self.episodes - self.unfinished
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the rollout's metrics as a dictionary of numbers."""
         found = asdict(self)
         return found if self.non_finite else {key: value for key, value in found.items() if key != "non_finite"}

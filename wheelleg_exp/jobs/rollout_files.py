@@ -61,7 +61,7 @@ def command_document(command: Sequence[str]) -> dict[str, str]:
     return {"command": fenced(shlex.join(command), "sh")} if command else {}
 
 
-def config_document(config: Mapping[str, Any]) -> dict[str, str]:
+def config_document(config: Mapping[str, object]) -> dict[str, str]:
     """Return a composed config as a text document for a recording."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
 
@@ -122,7 +122,7 @@ class EpisodeRecording(ObservingRecording):
         *,
         purpose: Purpose,
         name: str,
-        about: Mapping[str, Any],
+        about: Mapping[str, object],
         documents: Mapping[str, str],
     ) -> None:
         ids, every = options["env_ids"], max(round(1.0 / env.step_dt), 1)
@@ -142,7 +142,7 @@ class EpisodeRecording(ObservingRecording):
         """The recording file."""
         return self._recorder.path
 
-    def figures(self, value: Any) -> None:
+    def figures(self, value: object) -> None:
         """Write the rollout's final metrics into the recording."""
         self._recorder.document(FIGURES, fenced(dump_json(value), "json"))
 

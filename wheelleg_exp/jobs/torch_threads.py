@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import torch
@@ -27,6 +27,13 @@ _EVERYTHING = -1
 _VECTOR_STEP = 32  # One step of a vector loop in torch computes 32 numbers, which are two AVX-512 vectors.
 # With MKL_CBWR=OFF or COMPATIBLE, matrix products depend on the thread count, even with the option STRICT.
 _THREADED_BRANCHES = ("off", "compatible")
+
+
+class Mkl(TypedDict):
+    """MKL's code branch, and whether MKL's strict mode is on; None if MKL does not report its mode."""
+
+    branch: str | None
+    strict: bool | None
 
 
 def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
@@ -61,7 +68,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return manifest entries that say why bfloat16 matrix products depend on the thread count, or {} if they do not.
 
     ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
@@ -83,31 +90,32 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
     return notes
 
 
-def mkl_in_force() -> dict[str, Any] | None:
+def mkl_in_force() -> Mkl | None:
     """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
 
-    If MKL does not report its mode, ``branch`` and ``strict`` are None in the returned dictionary. After the first call
-    of ``mkl_in_force``, changes of MKL's environment variables have no effect.
+    After the first call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
     """
-    if not torch.backends.mkl.is_available():
+    has_mkl: Callable[[], bool] = torch.backends.mkl.is_available  # torch does not annotate this function.
+    if not has_mkl():
         return None
     library = Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"
     try:
         code = int(ctypes.CDLL(str(library)).mkl_serv_cbwr_get(ctypes.c_int(_EVERYTHING)))
     except (OSError, AttributeError):
-        return {"branch": None, "strict": None}
-    return {"branch": _BRANCHES.get(code & ~_STRICT, str(code & ~_STRICT)), "strict": bool(code & _STRICT)}
+        return Mkl(branch=None, strict=None)
+    return Mkl(branch=_BRANCHES.get(code & ~_STRICT, str(code & ~_STRICT)), strict=bool(code & _STRICT))
 
 
-def numerics() -> dict[str, Any]:
+def numerics() -> dict[str, object]:
     """Return those settings of torch and of the processor that change floating-point results."""
+    has_onednn: Callable[[], bool] = torch.backends.mkldnn.is_available
     tiny, one = np.float64(2.0**-1070), np.float64(1.0)
     with np.errstate(all="ignore"):
         to_nearest = one + 2.0**-53 == one and -one - 2.0**-53 == -one and one + 2.0**-52 * 0.75 > one
         keeps_tiny = tiny * one > 0.0
     return {
         "libraries": _libraries(),
-        "mkldnn": torch.backends.mkldnn.is_available() and torch.backends.mkldnn.enabled,
+        "mkldnn": has_onednn() and torch.backends.mkldnn.enabled,
         "matmul_precision": torch.get_float32_matmul_precision(),
         "default_dtype": str(torch.get_default_dtype()).removeprefix("torch."),
         "deterministic_algorithms": torch.are_deterministic_algorithms_enabled(),
@@ -151,7 +159,7 @@ def _splits(numbers: int, threads: int) -> bool:
     return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 
 
-def _thread_dependence(mkl: Mapping[str, Any] | None, device: str, largest_mean: int) -> list[str]:
+def _thread_dependence(mkl: Mkl | None, device: str, largest_mean: int) -> list[str]:
     reasons = []
     if device != "cpu":
         reasons.append(f"the networks are on {device}")

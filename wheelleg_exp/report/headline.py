@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping
 from datetime import datetime
-from typing import Any
 
 from wheelleg_exp.definitions import LAST, settled_window
 from wheelleg_exp.inspection.plot_data import target_height
@@ -18,7 +17,7 @@ _GOOD, _FAIR = 0.95, 0.5  # The share of episodes with a time-out is green from 
 TONES: Mapping[str, Tone] = {"finished": "good", "failed": "bad", "crashed": "bad", "interrupted": "warn"}
 
 
-def played(subject: Subject) -> Mapping[str, Any]:
+def played(subject: Subject) -> Mapping[str, object]:
     """Return the metrics of the last ``wheelleg play`` or of a zero or random agent's run; {} without metrics."""
     if subject.status == AGENT:
         figures = subject.agent_figures.get("figures")
@@ -27,7 +26,13 @@ def played(subject: Subject) -> Mapping[str, Any]:
     return numbers(plays[-1].results) if plays else {}
 
 
-def ended(figures: Mapping[str, Any]) -> int | None:
+def settle_s(figures: Mapping[str, object]) -> float | None:
+    """Return the duration at the start of an episode that the figures ignore, s; None if it is unknown."""
+    found = figures.get("settle_s")
+    return found if is_number(found) else None
+
+
+def ended(figures: Mapping[str, object]) -> int | None:
     """Return how many episodes ended during ``wheelleg play``; None if the number of ended episodes is unknown."""
     episodes, unfinished = figures.get("episodes"), figures.get("unfinished", 0)
     return episodes - unfinished if isinstance(episodes, int) and isinstance(unfinished, int) else None
@@ -111,7 +116,7 @@ def _broken(subject: Subject, progress: str) -> str:
     return f"Training failed after {progress}{why.rstrip('.')}."
 
 
-def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
+def _stood(subject: Subject, figures: Mapping[str, object]) -> str:
     episodes, survival = ended(figures), figures.get("survival")
     if not episodes or not isinstance(survival, (int, float)):
         return ""
@@ -128,7 +133,7 @@ def _stood(subject: Subject, figures: Mapping[str, Any]) -> str:
     error, goal = figures.get("height_rmse_m"), target_height(subject.setting("env.rewards"))
     if not stood or not isinstance(error, (int, float)) or goal is None:
         return text + "."
-    when = settled_window(figures.get("settle_s"))
+    when = settled_window(settle_s(figures))
     return f"{text}, {number(1e3 * error, 2)} mm (RMS, {when}) off its target height of {exact(1e3 * goal)} mm."
 
 
@@ -145,8 +150,8 @@ def cards(subject: Subject, verdict: Card | None) -> list[Card]:
     return [*found, *([verdict] if verdict else [])]
 
 
-def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
-    survival, episodes, when = figures.get("survival"), ended(figures), settled_window(figures.get("settle_s"))
+def _of_play(subject: Subject, figures: Mapping[str, object]) -> Iterator[Card]:
+    survival, episodes, when = figures.get("survival"), ended(figures), settled_window(settle_s(figures))
     if isinstance(survival, (int, float)) and episodes:
         note = f"{number(round(survival * episodes))} of {counted(episodes, 'episode')} reached the time-out"
         yield _with_unit("Survival", percent(survival), note, tone_of(survival))
@@ -168,21 +173,27 @@ def _of_play(subject: Subject, figures: Mapping[str, Any]) -> Iterator[Card]:
         yield Card("Return", number(figures["mean_return"]), "", note)
 
 
-def _of_motion(figures: Mapping[str, Any], when: str) -> Iterator[Card]:
-    turned = figures.get("yaw_drift_deg")
-    if is_number(figures.get("drift_m")):
+def _of_motion(figures: Mapping[str, object], when: str) -> Iterator[Card]:
+    turned, drift = figures.get("yaw_drift_deg"), figures.get("drift_m")
+    if is_number(drift):
         note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
-        yield Card("Drift", number(1e3 * figures["drift_m"], 2), "mm", f"largest {when}, mean of its episodes{note}")
-    torques = {group: value for group, value in (figures.get("torque_rms_nm") or {}).items() if is_number(value)}
+        yield Card("Drift", number(1e3 * drift, 2), "mm", f"largest {when}, mean of its episodes{note}")
+    torques = {group: value for group, value in _by_group(figures, "torque_rms_nm").items() if is_number(value)}
     if torques:
         group = max(torques, key=lambda name: torques[name])
-        limit, signs = (figures.get(key, {}).get(group) for key in ("at_limit", "sign_changes_per_s"))
+        limit, signs = (_by_group(figures, key).get(group) for key in ("at_limit", "sign_changes_per_s"))
         note = f"RMS of the {group} {when}; {percent(limit)} at the limit; {number(signs, 2)} sign changes per s"
         yield Card("Torque", number(torques[group], 2), "N·m", note)
     if is_number(figures.get("action_rate_per_s")):
         yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
     if is_number(figures.get("power_net_w")):
         yield Card("Power", number(figures["power_net_w"], 2), "W", f"mechanical, net of armature, mean {when}")
+
+
+def _by_group(figures: Mapping[str, object], key: str) -> Mapping[str, object]:
+    """Return the values of a figure by group of actuators; no values if the figure is missing."""
+    found = figures.get(key)
+    return found if isinstance(found, Mapping) else {}
 
 
 def _of_training(subject: Subject) -> Iterator[Card]:

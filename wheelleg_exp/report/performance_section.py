@@ -16,10 +16,10 @@ from wheelleg_exp.inspection.plot_style import Panel
 from wheelleg_exp.inspection.recording_plots import PLOTS
 from wheelleg_exp.inspection.recording_summary import Summary, summarize
 from wheelleg_exp.recording.reading.recording_reader import Recording
-from wheelleg_exp.report.headline import ended, played, tone_of
+from wheelleg_exp.report.headline import ended, played, settle_s, tone_of
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text
 from wheelleg_exp.report.plot_images import drawn
-from wheelleg_exp.report.report_subject import AGENT, Subject
+from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
 from wheelleg_exp.run.records import Addition
 
@@ -86,7 +86,7 @@ def _saturated(share: float | None) -> Cell:
     return Cell("–") if share is None else Cell(percent(share), bar=share, tone=tone)  # type: ignore[arg-type]
 
 
-_FORMATS: Mapping[str, Callable[[Any], str]] = {
+_FORMATS: Mapping[str, Callable[[object], str]] = {
     "episodes": number,
     "unfinished": number,
     "survival": percent,
@@ -162,12 +162,11 @@ def _panels(name: str, recording: Recording) -> list[Panel]:
         return []
 
 
-def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
-    settle_s = figures.get("settle_s")
+def _figures(subject: Subject, figures: Mapping[str, object]) -> Table:
     rows = [
         [
-            Cell(capital(rollout_label(key, settle_s) + group)),
-            Cell(words(value), number=True, tone=tone_of(value) if key == "survival" else ""),
+            Cell(capital(rollout_label(key, settle_s(figures)) + group)),
+            Cell(words(value), number=True, tone=tone_of(value) if key == "survival" and is_number(value) else ""),
             Cell(_of(key, figures)),
         ]
         for key, words in _FORMATS.items()
@@ -179,11 +178,11 @@ def _figures(subject: Subject, figures: Mapping[str, Any]) -> Table:
     return Table("The agent" if subject.status == AGENT else "The last play", ("Figure", "Value", "Of"), rows)
 
 
-def _by_group(value: Any) -> list[tuple[str, Any]]:
+def _by_group(value: object) -> list[tuple[str, object]]:
     return [(f" ({group})", each) for group, each in value.items()] if isinstance(value, Mapping) else [("", value)]
 
 
-def _of(key: str, figures: Mapping[str, Any]) -> str:
+def _of(key: str, figures: Mapping[str, object]) -> str:
     if key == "episodes":
         return "the first of each environment"
     if key in ("survival", "mean_return"):
@@ -197,7 +196,7 @@ def _of(key: str, figures: Mapping[str, Any]) -> str:
     return ""
 
 
-def _endings(figures: Mapping[str, Any]) -> list[Block]:
+def _endings(figures: Mapping[str, object]) -> list[Block]:
     endings, count = figures.get("ended_by"), ended(figures)
     if not isinstance(endings, Mapping) or not count:
         return []
@@ -220,10 +219,11 @@ def _plays(subject: Subject) -> list[Block]:
     return [Table("All plays", (*columns, "Of", "Return, mean"), rows)]
 
 
-def _play_row(results: Mapping[str, Any]) -> list[Cell]:
-    changed = " ".join(str(text) for text in results.get("overrides") or []) or "–"
+def _play_row(results: Mapping[str, object]) -> list[Cell]:
+    overrides = results.get("overrides")
+    changed = " ".join(map(str, overrides)) if isinstance(overrides, list) and overrides else "–"
     texts = [_FORMATS[key](results.get(key)) for key in ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")]
-    texts += [settled_window(results.get("settle_s")), number(results.get("mean_return"))]
+    texts += [settled_window(settle_s(results)), number(results.get("mean_return"))]
     cells = [Cell(text, number=True) for text in texts]
     return [Cell(str(results.get("checkpoint", "–")), code=True), Cell(changed, code=True), *cells]
 
@@ -236,8 +236,8 @@ def _evaluations(subject: Subject) -> list[Block]:
     return [Table(f"Evaluation of {moment(entries[-1].when)}", ("Figure", "Value"), rows)]
 
 
-def _flat(results: Mapping[str, Any], head: str = "") -> list[tuple[str, Any]]:
-    found: list[tuple[str, Any]] = []
+def _flat(results: Mapping[str, object], head: str = "") -> list[tuple[str, object]]:
+    found: list[tuple[str, object]] = []
     for name, value in results.items():
         label = f"{head}{name}"
         if isinstance(value, Mapping):
@@ -247,7 +247,7 @@ def _flat(results: Mapping[str, Any], head: str = "") -> list[tuple[str, Any]]:
     return found
 
 
-def _scaled(value: Any, factor: float, unit: str) -> str:
+def _scaled(value: object, factor: float, unit: str) -> str:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return number(value)
     return f"{number(float(value) * factor)}{'' if unit == '°' else ' '}{unit}"
@@ -339,12 +339,14 @@ def _about_evaluation(entry: Addition, content: Mapping[str, Any], has_reference
     return f"{text} The reference is a linear-quadratic controller without noise or delay." if has_reference else text
 
 
-def _table(title: str, metrics: Mapping[str, Any], reference: Mapping[str, Any] | None, names: list[str]) -> Table:
+def _table(
+    title: str, metrics: Mapping[str, Mapping[str, object]], reference: Mapping[str, object] | None, names: list[str]
+) -> Table:
     columns = ("Metric", "Value", "95 % interval", *(("Reference",) if reference is not None else ()))
     return Table(title, columns, [_row(name, metrics[name], reference) for name in names])
 
 
-def _row(name: str, figure: Mapping[str, Any], reference: Mapping[str, Any] | None) -> list[Cell]:
+def _row(name: str, figure: Mapping[str, object], reference: Mapping[str, object] | None) -> list[Cell]:
     factor, unit = _in_degrees(str(figure.get("unit") or ""))
     ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
     value = _scaled_figure(figure.get("value"), factor)
@@ -359,7 +361,7 @@ def _in_degrees(unit: str) -> tuple[float, str]:
     return (180.0 / math.pi, _DEGREES[unit]) if unit in _DEGREES else (1.0, unit)
 
 
-def _scaled_figure(value: Any, factor: float) -> str:
+def _scaled_figure(value: object, factor: float) -> str:
     return number(factor * value) if isinstance(value, (int, float)) and not isinstance(value, bool) else "–"
 
 

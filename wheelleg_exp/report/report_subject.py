@@ -134,7 +134,7 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
     return content
 
 
-def _own_folders(sources: Iterable[Mapping[str, Any]]) -> list[Path]:
+def _own_folders(sources: Iterable[Mapping[str, object]]) -> list[Path]:
     """Return those folders of the run's Hydra search path that the user trusts; other folders must not be read."""
     kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
     return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))

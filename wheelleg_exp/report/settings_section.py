@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.provenance import Mount
@@ -112,15 +111,15 @@ def _require_harmless(words: Sequence[str]) -> None:
         raise ConfigError("Hydra does not compose the run's overrides: they could read files outside config folders")
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     return _NOT_SET if value is ABSENT else brief(value)
 
 
-def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: Any, one_sided: bool) -> str:
+def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: object, one_sided: bool) -> str:
     # The origin of a config value is known only if Hydra composes an equal value on this machine.
     if again is None:
         return _THEN
-    node: Any = again.config
+    node: object = again.config
     for key in keys:
         node = node.get(key, ABSENT) if isinstance(node, Mapping) else ABSENT
     if (node is ABSENT) != (value is ABSENT) or (node is not ABSENT and not same(node, value)):

@@ -11,7 +11,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LONGEST = 160  # A report shows at most this number of characters of a value.
 
 
-def number(value: Any, digits: int = 3) -> str:
+def number(value: object, digits: int = 3) -> str:
     """Format a number with ``digits`` significant digits and, if possible, without an exponent; None becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return "–" if value is None else brief(value)
@@ -36,14 +36,14 @@ def numbers(value: Any) -> Any:
     return None if none else value
 
 
-def exact(value: Any) -> str:
+def exact(value: object) -> str:
     """Format a number with up to six digits, such as ``5``, ``0.07``, ``−50``; None becomes a dash."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–" if value is None else brief(value)
     return f"{value:.6g}".replace("-", "−")
 
 
-def percent(share: Any) -> str:
+def percent(share: object) -> str:
     """Format a share, 0 to 1, as a percentage; a share below 1 is never rounded up to 100 %."""
     if isinstance(share, bool) or not isinstance(share, (int, float)) or not math.isfinite(share):
         return "–"
@@ -54,7 +54,7 @@ def percent(share: Any) -> str:
     return f"{shown:.1f} %".replace("-", "−")
 
 
-def duration(seconds: Any) -> str:
+def duration(seconds: object) -> str:
     """Format a duration in its two largest units, such as hours and minutes."""
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds < 1e12:
         return "–"
@@ -67,7 +67,7 @@ def duration(seconds: Any) -> str:
     return f"{hours} h {minutes} min" if hours < 48 else f"{hours // 24} d {hours % 24} h"
 
 
-def size(octets: Any) -> str:
+def size(octets: object) -> str:
     """Format a file size in bytes, kB, MB, or GB (powers of 1000)."""
     if isinstance(octets, bool) or not isinstance(octets, (int, float)) or not math.isfinite(octets):
         return "–"
@@ -79,18 +79,18 @@ def size(octets: Any) -> str:
     return f"{value:.3g} GB"
 
 
-def moment(text: Any) -> str:
+def moment(text: object) -> str:
     """Return a manifest's time to the second: ``2026-01-31 17:05:09 UTC``."""
     return "–" if not isinstance(text, str) or len(text) < 19 else f"{text[:10]} {text[11:19]} UTC"
 
 
-def brief(value: Any) -> str:
+def brief(value: object) -> str:
     """Format a config value as YAML on one line; a long value is truncated."""
     text = plain(value)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
 
 
-def plain(value: Any) -> str:
+def plain(value: object) -> str:
     """Return a config value as YAML on one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]

@@ -15,7 +15,6 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import wheelleg_exp
 from wheelleg_exp.machine import first_processor, usable_cores
@@ -62,7 +61,7 @@ def versions() -> dict[str, str | None]:
     return found
 
 
-def hardware() -> dict[str, Any]:
+def hardware() -> dict[str, object]:
     """Return the CPU's model and vector instructions, the number of CPU cores, the memory size, and the platform.
 
     ``cores_usable`` is the number of CPU cores that this process can use in its container. The returned mapping has the
@@ -71,7 +70,7 @@ def hardware() -> dict[str, Any]:
     memory = None
     with suppress(OSError):
         memory = re.search(r"^MemTotal:\s+(\d+) kB", Path("/proc/meminfo").read_text(errors="replace"), re.MULTILINE)
-    facts: dict[str, Any] = {
+    facts: dict[str, object] = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "cores_usable": usable_cores(),
@@ -137,12 +136,12 @@ def distributions() -> list[str]:
     return [found[key] for key in sorted(found)]
 
 
-def environment_text(threads: Mapping[str, Any]) -> str:
+def environment_text(threads: Mapping[str, object]) -> str:
     """Return the text of ``environment.txt``: the machine's facts as comments, then the distributions.
 
     pip can read the text as a requirements file. Equal environments give equal texts.
     """
-    sections: dict[str, Mapping[str, Any]] = {
+    sections: dict[str, Mapping[str, object]] = {
         "python": {"version": sys.version.replace("\n", " ")},
         "hardware": {k: v for k, v in hardware().items() if k != "torch_cpu_capability"},
         "threads": threads,
@@ -174,7 +173,7 @@ def _origin(distribution: metadata.Distribution) -> str:
     return "  # " + " ".join([*parts, url, *([commit] if commit else [])])
 
 
-def _cpu_facts() -> dict[str, Any]:
+def _cpu_facts() -> dict[str, object]:
     if sys.platform == "darwin":
         command = ("sysctl", "-n", "machdep.cpu.brand_string")
         with suppress(OSError, subprocess.TimeoutExpired):
@@ -183,7 +182,7 @@ def _cpu_facts() -> dict[str, Any]:
         return {}
     block = first_processor()
     names = {"model name": "cpu", "cpu family": "cpu_family", "model": "cpu_model", "stepping": "cpu_stepping"}
-    facts: dict[str, Any] = {new: block[old] for old, new in names.items() if block.get(old)}
+    facts: dict[str, object] = {new: block[old] for old, new in names.items() if block.get(old)}
     flags = block.get("flags") or block.get("Features") or ""
     chosen = sorted({flag for flag in flags.split() if _CPU_FLAGS.fullmatch(flag) or "bf16" in flag})
     return {**facts, "cpu_flags": chosen} if chosen else facts

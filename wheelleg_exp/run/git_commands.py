@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 _TIMEOUT_S = 300
@@ -86,9 +85,11 @@ def run_git(
     kept["GIT_CONFIG_COUNT"] = str(first + len(overridden))
     for number, (key, value) in enumerate(overridden.items(), first):
         kept |= {f"GIT_CONFIG_KEY_{number}": key, f"GIT_CONFIG_VALUE_{number}": value}
-    options: dict[str, Any] = {"cwd": folder, "env": kept | (environ or {}), "timeout": _TIMEOUT_S}
+    kept |= environ or {}
     try:
-        done = subprocess.run(["git", *arguments], input=stdin, capture_output=True, check=False, **options)
+        done = subprocess.run(
+            ["git", *arguments], input=stdin, capture_output=True, cwd=folder, env=kept, timeout=_TIMEOUT_S, check=False
+        )
     except FileNotFoundError:
         if folder.is_dir():
             raise GitMissing("git is not installed") from None

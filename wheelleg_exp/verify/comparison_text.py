@@ -47,7 +47,7 @@ def _first_of_numbers(
     if parted is not None and (pair is None or parted.iteration <= pair.iteration):
         return _of_log(parted, pair, sides)
     if pair is not None:
-        details: dict[str, Any] = {} if parted is None else {"log_differs_from": parted.iteration}
+        details = {} if parted is None else {"log_differs_from": parted.iteration}
         return _of_pair(pair, details)
     for name in ("recording", "exported", "results", "files"):
         if parts[name].state == "different":

@@ -183,7 +183,7 @@ def _definitions(code: str) -> list[str]:
     return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 
-def _onnx_weights(path: Path) -> dict[str, tuple[Any, ...]]:
+def _onnx_weights(path: Path) -> dict[str, tuple[object, ...]]:
     import onnx
     from onnx import numpy_helper
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.errors import RunDirectoryError
@@ -42,9 +42,9 @@ class Comparison:
     environment: list[FactDifference]  # ``environment`` lists differences such as other code or another CPU.
     tolerance: Tolerance | None = None  # None unless a cause such as another CPU can explain unequal numbers.
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the comparison of two runs as a JSON document."""
-        environment: dict[str, list[dict[str, Any]]] = {}
+        environment: dict[str, list[dict[str, object]]] = {}
         for d in self.environment:
             note = {"note": d.note} if d.note else {}
             facts = {"name": d.name, "a": d.a, "b": d.b, "allows": d.allows, **note}

@@ -22,8 +22,8 @@ class Difference:
 
     name: str
     kind: str  # The kind of difference: ``values``, ``shape``, ``dtype``, ``kind``, ``only in A``, or ``only in B``.
-    a: Any  # ``a`` and ``b`` are the differing values, shapes, dtypes, or types in the mappings A and B.
-    b: Any
+    a: object  # ``a`` and ``b`` are the differing values, shapes, dtypes, or types in the mappings A and B.
+    b: object
     index: tuple[int, ...] = ()  # The index of the tensor element with the largest difference.
     largest: float | None = None  # The largest absolute difference of two tensors, which can be NaN or inf.
     relative: float | None = None  # ``relative`` is ``largest`` divided by the larger of ``|a|`` and ``|b|``.
@@ -56,7 +56,7 @@ def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
             yield Difference(name, "values", a, b, (), largest, float(largest / scale) if scale else 0.0)
 
 
-def count_leaves(tree: Any) -> int:
+def count_leaves(tree: object) -> int:
     """Return the number of tensors, numbers, and texts in a nested mapping or list."""
     if isinstance(tree, Mapping):
         return sum(map(count_leaves, tree.values()))
@@ -70,7 +70,7 @@ def network_tensors(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
     return {name: value for name, value in tensors.items() if isinstance(value, torch.Tensor)}
 
 
-def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+def relative_distance(a: Mapping[str, torch.Tensor], b: Mapping[str, torch.Tensor]) -> float:
     """Return the relative Euclidean distance ``|a - b| / |b|`` of two mappings of tensors; inf if shapes differ."""
     if a.keys() != b.keys() or any(a[name].shape != b[name].shape for name in a):
         return math.inf
@@ -79,7 +79,7 @@ def relative_distance(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
     return math.sqrt(apart / size) if size else (math.inf if apart else 0.0)
 
 
-def _child(a: Mapping[Any, Any], b: Mapping[Any, Any], key: Any, name: str) -> Iterator[Difference]:
+def _child(a: Mapping[object, object], b: Mapping[object, object], key: object, name: str) -> Iterator[Difference]:
     if key not in b:
         yield Difference(name, "only in A", _brief(a[key]), _ABSENT)
     elif key not in a:
@@ -88,7 +88,7 @@ def _child(a: Mapping[Any, Any], b: Mapping[Any, Any], key: Any, name: str) -> I
         yield from tree_differences(a[key], b[key], name)
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     return f"{value.dtype} {tuple(value.shape)}" if isinstance(value, torch.Tensor) else type(value).__name__
 
 

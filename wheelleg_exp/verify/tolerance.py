@@ -26,7 +26,6 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from wheelleg_exp.run.iteration_log import Line
 
@@ -85,7 +84,7 @@ class Tolerance:
         alike = ", and they end alike" if self.end else ""
         return f"they first differ in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the deviations between two runs as a JSON document."""
         rows = {side: [asdict(e) | {"within": e.within} for e in getattr(self, side)] for side in ("start", "end")}
         return {"within": self.within, **rows, "note": self.note}
@@ -156,5 +155,5 @@ def _finite(values: Sequence[float]) -> list[float]:
     return [value for value in values if math.isfinite(value)]
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else math.nan

@@ -67,9 +67,9 @@ class ReplayDisplay(PipeDisplay):
         self._stop = stop
         self.until: int | None = None
         self.warnings_only = False
-        self.found: dict[str, Any] = {}
+        self.found: dict[str, object] = {}
 
-    def record(self, event: str, **facts: Any) -> None:
+    def record(self, event: str, **facts: object) -> None:
         """Send an event to the parent process, and keep the event's data for the new run's manifest."""
         self.found[event] = facts
         self._pipe.send(event, **facts)
@@ -192,7 +192,7 @@ def _moved(name: str, moved: Mapping[str, str]) -> str:
     return name
 
 
-def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
+def _composed_again(run: RunDirectory, request: Request) -> dict[str, object]:
     """Compose a config from a run's overrides and restored YAML files, and compare it with the run's saved config."""
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import read_yaml
@@ -213,7 +213,7 @@ def _composed_again(run: RunDirectory, request: Request) -> dict[str, Any]:
     return {"equal": True, "difference": None}
 
 
-def _first_difference(recorded: Any, now: Any, path: str) -> str | None:
+def _first_difference(recorded: object, now: object, path: str) -> str | None:
     """Describe the first difference between two configs; a different order of keys is also a difference."""
     if isinstance(recorded, Mapping) and isinstance(now, Mapping):
         for key in [*recorded, *(k for k in now if k not in recorded)]:
