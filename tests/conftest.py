@@ -48,8 +48,9 @@ def _equal_compositions() -> Iterator[None]:
         key = (primary, *overrides)
         if key not in known:
             tree = load(self, primary, overrides)
-            known[key] = (pickle.dumps(tree), self.repository_used, self.merged)
-        data, self.repository_used, self.merged = known[key]
+            known[key] = (pickle.dumps(tree), dict(vars(self)))
+        data, state = known[key]
+        vars(self).update(state)
         return pickle.loads(data)
 
     Loader.load = remembered

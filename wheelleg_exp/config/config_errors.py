@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NoReturn
 
-from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.errors import ConfigError, MissingValue, WheellegError
 
 _OVERRIDE = "override "
 
@@ -41,7 +41,27 @@ def parts(error: ConfigError) -> list[ConfigError]:
 
 def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> NoReturn:
     """Raise one ConfigError that lists all given ``errors``."""
-    raise join(errors) from cause
+    joined = join(errors)
+    raise joined from cause or joined.__cause__
+
+
+def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
+    """Return whether an error can be caused by the missing values of the config keys in ``lost``.
+
+    An entry of ``lost`` with a leading dot, such as ``.alive``, means the key ``alive`` in any config section. An empty
+    text in ``lost`` means that the values of all config keys can be missing.
+    """
+    key = error.key or ""
+    if isinstance(error, UnknownName) and _is_at_or_below(error.named, lost):
+        return True
+    if isinstance(error, AbsentKey) and "" in lost:
+        return True
+    above = isinstance(error, MissingValue) and any(name.startswith(f"{key}.") for name in lost)
+    return above or _is_at_or_below(key, lost)
+
+
+def _is_at_or_below(key: str, places: Collection[str]) -> bool:
+    return any(f"{p}." in f".{key}." if p.startswith(".") else f"{key}.".startswith(f"{p}.") for p in places)
 
 
 def override_of(error: WheellegError) -> str | None:

@@ -121,6 +121,7 @@ class DefaultsEntry:
     key: str  # ``key`` names a config group, such as ``/reward@env.rewards``, without the word `override`.
     value: Any
     override: bool
+    optional: bool
     line: int
 
 
@@ -140,7 +141,8 @@ def defaults_entries(file: Path) -> list[DefaultsEntry]:
 def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
     words = str(key.value).split()
     chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value
-    return DefaultsEntry(words[-1], chosen, "override" in words[:-1], key.start_mark.line + 1)
+    line = key.start_mark.line + 1
+    return DefaultsEntry(words[-1], chosen, "override" in words[:-1], "optional" in words[:-1], line)
 
 
 def self_before_others(file: Path) -> bool:

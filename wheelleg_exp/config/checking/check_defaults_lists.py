@@ -5,14 +5,13 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
 from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
 from wheelleg_exp.config.composing.hydra_errors import place_of_option, where_of
+from wheelleg_exp.config.composing.provenance import ConfigFile
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table, section_at, self_before_others
 from wheelleg_exp.errors import ConfigError, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
@@ -22,47 +21,9 @@ from wheelleg_exp.terms.term_binding import RESERVED, TARGET, NotSelected, split
 _OBSERVATION_GROUP = re.compile(r"env\.observations\.[^.]+")
 
 
-@dataclass(frozen=True)
-class MountedFile:
-    """A config file, and the key of the config tree at which Hydra puts the file's content.
-
-    ``config_path`` is the name that Hydra gives to the config file, such as ``reward/alive``. ``package`` is the key
-    below which Hydra puts the content of the config file; an empty key is the top of the tree. ``parent`` names the
-    config file whose defaults list contains ``config_path``.
-    """
-
-    config_path: str
-    package: str
-    file: Path
-    content: dict[Any, Any]
-    parent: str
-
-    @property
-    def group(self) -> str:
-        """Return the config group of a config file, such as ``reward`` for the file ``reward/alive.yaml``."""
-        return self.config_path.rpartition("/")[0]
-
-    @property
-    def name(self) -> str:
-        """Return the name of a config file without ``.yaml``, such as ``alive`` for the file ``reward/alive.yaml``."""
-        return self.config_path.rpartition("/")[2]
-
-
-def mounted_files(composed: Composed) -> list[MountedFile]:
-    """Return every config file of a composed config, in the order in which Hydra merged the files."""
-    loaded = composed.loader.repository_used.loaded
-    found = []
-    for default in composed.loader.merged:
-        path = str(default.config_path)
-        if path in loaded and not path.startswith("hydra/"):
-            file, content = loaded[path].file, loaded[path].content
-            found.append(MountedFile(path, default.package or "", file, content, default.parent or ""))
-    return found
-
-
-def mount_place(composed: Composed, mounted: MountedFile) -> str:
+def mount_place(composed: Composed, mounted: ConfigFile) -> str:
     """Return the place that selects a config file: an override, or the file and line of a defaults list."""
-    for override in reversed(composed.parsed):
+    for override in reversed(composed.loader.overrides):
         value = override.value()
         names = value if isinstance(value, list) else [value]
         fits = override.package in (None, mounted.package)
@@ -72,7 +33,7 @@ def mount_place(composed: Composed, mounted: MountedFile) -> str:
     return place_of_option(repository, mounted.parent, mounted.config_path) or show_file(mounted.file, 1)
 
 
-def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+def check_headers(composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:
     """Find config files whose content is at a wrong key, because they lack a ``# @package`` line."""
     # A config file needs no `# @package` line if a defaults list selects the file with `group@package`.
     misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
@@ -80,13 +41,13 @@ def check_headers(composed: Composed, files: Sequence[MountedFile]) -> list[Conf
     return [error for error in found if error.key in misplaced]
 
 
-def check_term_files(files: Sequence[MountedFile]) -> list[ConfigError]:
+def check_term_files(files: Sequence[ConfigFile]) -> list[ConfigError]:
     """Find config files such as ``reward/alive.yaml`` that do not contain a term with the file's name (``alive``)."""
     wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
-def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFile]) -> Iterator[ConfigError]:
+def check_targets_of_files(config: Mapping[str, Any], files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
     """Find terms, such as rewards, that have a config file but no ``_target_`` in the composed config."""
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -102,7 +63,7 @@ def check_targets_of_files(config: Mapping[str, Any], files: Sequence[MountedFil
                 continue  # The module check_terms reports a misspelled ``_target_``.
 
 
-def check_group_lists(composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+def check_group_lists(composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:
     """Find terms that are directly in an observation group, instead of below the group's key ``terms``."""
     terms = [file for file in files if TARGET in section_at(file.content, (file.name,))]
     astray = [file for file in terms if _OBSERVATION_GROUP.fullmatch(file.package)]
@@ -125,7 +86,7 @@ def _is_term_list(package: str) -> bool:
     return len(keys) == 4 and keys[3] == "terms" if keys[1] == "observations" else len(keys) == 2
 
 
-def _term_file_error(file: MountedFile) -> ConfigError:
+def _term_file_error(file: ConfigFile) -> ConfigError:
     lines, names = line_table(file.file), [str(key) for key in file.content]
     if not names:
         message = f"this file is empty, and does not contain the term '{file.name}'"
@@ -139,7 +100,7 @@ def _term_file_error(file: MountedFile) -> ConfigError:
     return ConfigError(message, key=f"{file.package}.{file.name}", where=where, expected=expected, nearest=nearest)
 
 
-def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> dict[str, Any]:
+def without_strays(config: Mapping[str, Any], files: Sequence[ConfigFile]) -> dict[str, Any]:
     """Return a config without misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:
@@ -150,7 +111,7 @@ def without_strays(config: Mapping[str, Any], files: Sequence[MountedFile]) -> d
     return cleaned
 
 
-def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[MountedFile]) -> list[ConfigError]:
+def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:
     """For config files at a key that no code reads, add to the error the override or the line that selected the file.
 
     If a term's file is at a wrong key, remove the additional error that the term has no ``_target_``.
@@ -169,7 +130,7 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
     return [e for e in errors if not (isinstance(e, NotSelected) and str(e.key).rpartition(".")[2] in astray)]
 
 
-def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile]) -> list[MountedFile]:
+def _brought(error: ConfigError, composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigFile]:
     """Return the config files that Hydra put at a key that no code reads; empty if other sources also set this key."""
     if not error.key or not isinstance(error, UnreadKey):
         return []
@@ -180,7 +141,7 @@ def _brought(error: ConfigError, composed: Composed, files: Sequence[MountedFile
 
 def emptied_by(composed: Composed, key: str) -> str | None:
     """Return the override that removed everything at ``key``: an empty list of options, or a deleted group."""
-    for override in composed.parsed:
+    for override in composed.loader.overrides:
         empty = override.value() == [] and override.package == key
         empty = empty or (override.is_delete() and override.key_or_group == key)
         group = override.is_delete() and composed.loader.repository_used.group_exists(override.key_or_group)
@@ -189,7 +150,7 @@ def emptied_by(composed: Composed, key: str) -> str | None:
     return None
 
 
-def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> Iterator[ConfigError]:
+def check_listed_twice(files: Sequence[ConfigFile], composed: Composed) -> Iterator[ConfigError]:
     """Find terms that are selected twice: by one defaults list, or by a config file and the file that it extends.
 
     If Hydra merged a term's file again, the file would overwrite later settings of the term. If a config file sets a
@@ -211,7 +172,7 @@ def check_listed_twice(files: Sequence[MountedFile], composed: Composed) -> Iter
         seen[place] = index
 
 
-def _sets_null(file: MountedFile, key: str) -> bool:
+def _sets_null(file: ConfigFile, key: str) -> bool:
     below = key.removeprefix(f"{file.package}.") if file.package else key
     *above, name = below.split(".")
     node = section_at(file.content, tuple(above))
@@ -238,10 +199,10 @@ def check_overwritten(composed: Composed) -> list[ConfigError]:
     ]
 
 
-def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
+def check_merged_mappings(composed: Composed, files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
     """Find empty mappings, which change nothing, and keys without a value, which remove mappings of earlier files."""
     earlier: list[Keys] = []
-    found = [(split_path(o.key_or_group), o.value(), where_of(o)) for o in composed.parsed if o.value() == {}]
+    found = [(split_path(o.key_or_group), o.value(), where_of(o)) for o in composed.loader.overrides if o.value() == {}]
     empty = [(keys, value, where, section_at(composed.config, keys)) for keys, value, where in found]
     for file in files:
         package, lines = split_path(file.package), lookup.file_text(file.file).splitlines()
@@ -260,12 +221,12 @@ def check_merged_mappings(composed: Composed, files: Sequence[MountedFile]) -> I
         yield ConfigError(f"{what} {', '.join(inside)}", key=dotted(path), where=where, expected=expected)
 
 
-def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[ConfigError]:
+def check_order(composed: Composed, files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
     """Find defaults lists that order terms, such as rewards, differently from the composed config.
 
     A term gets an earlier position if another file sets a parameter of the term before Hydra merges the term's file.
     """
-    by_package: dict[str, list[MountedFile]] = {}
+    by_package: dict[str, list[ConfigFile]] = {}
     for file in files:
         if _is_term_list(file.package):
             by_package.setdefault(file.package, []).append(file)
@@ -286,7 +247,7 @@ def check_order(composed: Composed, files: Sequence[MountedFile]) -> Iterator[Co
             yield ConfigError(message, key=package, where=where, expected=expected)
 
 
-def unread_in_files(files: Sequence[MountedFile], primary: str) -> Iterator[ConfigError]:
+def unread_in_files(files: Sequence[ConfigFile], primary: str) -> Iterator[ConfigError]:
     """Yield an error for each Hydra setting that a config file sets without effect; skip the primary config."""
     for mounted in files:
         if mounted.config_path == primary:

@@ -134,7 +134,7 @@ def _match_error(expressions: list[str], names: Sequence[str], key: str, what: s
 
 
 def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
-    from wheelleg_exp.sim.actuators import NEEDED, ONE_GROUP
+    from wheelleg_exp.sim.actuators.actuator_base import NEEDED, ONE_GROUP
 
     errors, claims = [], []
     for name, node in groups.items() if isinstance(groups, Mapping) else ():
@@ -193,7 +193,7 @@ def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[Co
 
 
 def _term(section: str, path: str, node: Mapping[str, Any], members: Members) -> Iterator[ConfigError]:
-    from wheelleg_exp.managers import SceneEntityCfg
+    from wheelleg_exp.managers.term_interface import SceneEntityCfg
 
     for inner, part in walk_nodes(node, path):
         if inner != path and TARGET not in part:

@@ -15,15 +15,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
-from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, option_problems, translate, unreadable
-from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts, trace
-from wheelleg_exp.config.config_errors import Mistakes, UnknownName, join, parts, raise_all
+from wheelleg_exp.config.composing.config_loader import Loader, hydra_globals
+from wheelleg_exp.config.composing.hydra_errors import flat, nearest_path, parse_override
+from wheelleg_exp.config.composing.provenance import MISSING, Mount, Provenance, find_mounts
+from wheelleg_exp.config.config_errors import (
+    Mistakes,
+    UnknownName,
+    follows_from,
+    join,
+    override_of,
+    parts,
+    raise_all,
+)  # fmt: skip
 from wheelleg_exp.config.key_slots import is_settable
 from wheelleg_exp.config.tree_lookup import at, leaves, node_paths
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, WheellegError
@@ -93,17 +100,17 @@ class Composed:
     removed_terms: tuple[str, ...]
     hydra: DictConfig = field(repr=False)
     loader: Loader = field(repr=False)
-    parsed: list[Override] = field(repr=False)
 
-    @cached_property
+    @property
     def provenance(self) -> Provenance:
         """The file or override that set each config value."""
-        return trace(self.loader, self.primary, self.parsed)
+        return self.loader.provenance
 
     @cached_property
     def mounts(self) -> list[Mount]:
         """The config groups from which the config selects options, except Hydra's own config groups."""
-        return find_mounts(self.loader, self.parsed)
+        with hydra_globals():
+            return find_mounts(self.loader)
 
     @cached_property
     def raw_tree(self) -> dict[str, Any]:
@@ -145,41 +152,47 @@ class Composed:
 
 
 def compose(
-    overrides: Sequence[str] = (),
-    *,
-    primary: str = "train",
-    config_dirs: Sequence[Path] = (),
-    loader: Callable[[Sequence[Path]], Loader] = Loader,
-    launching: bool = False,
+    overrides: Sequence[str] = (), *, primary: str = "train", config_dirs: Sequence[Path] = (), launching: bool = False
 ) -> Composed:
     """Compose the primary config file with overrides, as Hydra does.
 
-    A mistake in a config file, an override, or an interpolation raises ConfigError. ``config_dirs`` are the user's
-    config folders. ``loader`` creates the Hydra loader for the config folders. If ``launching`` is true, overrides of
-    Hydra settings such as ``hydra.launcher`` raise no error.
+    Mistakes in config files, overrides, and interpolations raise one ConfigError. ``config_dirs`` are the user's
+    config folders. If ``launching`` is true, overrides of Hydra settings such as ``hydra.launcher`` raise no error.
+    """
+    composed, problems, _ = compose_leniently(overrides, primary, config_dirs, launching=launching)
+    if problems or composed is None:
+        raise_all(problems)
+    return composed
+
+
+def compose_leniently(
+    overrides: Sequence[str], primary: str, config_dirs: Sequence[Path], *, launching: bool = False
+) -> tuple[Composed | None, list[ConfigError], list[str]]:
+    """Compose a config without the files, overrides, and values that contain mistakes, and return the mistakes, too.
+
+    The config is None if nothing can be composed. The last list contains the config keys whose values are unknown
+    because of mistakes, as ``config_errors.follows_from`` describes.
     """
     texts = override_texts(overrides)
     unread = [] if launching else list(_unread_overrides(texts))
-    if unread:
-        raise_all(unread)
+    ignored = {override_of(error) for error in unread}
     folders = tuple(config_folder(folder) for folder in config_dirs)
     with hydra_globals():
-        used = loader(folders)
+        loader = Loader(folders)
         try:
-            raw = used.load(primary, texts)
+            raw = loader.load(primary, [text for text in texts if text not in ignored])
         except ConfigError:
-            raise
-        except COMPOSING_ERRORS as error:
-            raise translate(error, used, primary, texts) from error
-        parsed = OverridesParser.create().parse_overrides(texts)
-        if wrong := list(option_problems(used, parsed)):  # Hydra ignores a wrong option of an optional group.
-            raise_all(wrong)
+            return None, [*unread, *loader.problems], loader.lost
     OmegaConf.set_struct(raw, False)
     hydra = raw.pop("hydra")
     OmegaConf.set_readonly(raw, True)
-    config = _resolve(raw, lambda: trace(used, primary, parsed))
+    config, unresolved = _resolve(raw, loader.provenance)
+    problems = [*unread, *loader.problems, *(e for e in unresolved if not follows_from(e, loader.lost))]
+    lost = [*loader.lost, *(str(error.key) for error in unresolved)]
+    if config is None:
+        return None, problems, lost
     removed = drop_removed(config)
-    return Composed(config, raw, texts, primary, folders, removed, hydra, used, parsed)
+    return Composed(config, raw, texts, primary, folders, removed, hydra, loader), problems, lost
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:
@@ -187,13 +200,25 @@ def override_texts(overrides: Sequence[str]) -> list[str]:
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
-def _resolve(raw: DictConfig, provenance: Callable[[], Provenance]) -> dict[str, Any]:
-    """Return the resolved tree. Raise one ConfigError that lists all missing values and invalid interpolations."""
+def _resolve(raw: DictConfig, places: Provenance) -> tuple[dict[str, Any] | None, list[ConfigError]]:
+    """Return the resolved tree, with null in place of missing values and invalid interpolations, and their errors."""
     try:
-        resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
+        return _resolved(raw), []
     except OmegaConfBaseException as error:
         other = ConfigError(_flat(error), key=str(error.full_key) if error.full_key else None)
-        raise_all(list(_unresolved(raw, provenance())) or [other], error)
+        errors = list(_unresolved(raw, places)) or [other]
+    tree = OmegaConf.to_container(raw, resolve=False)
+    for keys in (split_path(str(error.key)) for error in errors):
+        if isinstance(section := at(tree, keys[:-1]), dict):
+            section[keys[-1]] = None
+    try:
+        return _resolved(OmegaConf.create(tree)), errors
+    except OmegaConfBaseException:
+        return None, errors
+
+
+def _resolved(raw: object) -> dict[str, Any]:
+    resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     return {str(key): value for key, value in resolved.items()} if isinstance(resolved, dict) else {}
 
 
@@ -311,10 +336,7 @@ def _setter(key: str, overrides: Sequence[str]) -> str | None:
 
 
 def _parse(text: str) -> Override:
-    problem = unreadable(text)
-    if problem is not None:
-        raise problem
-    override = OverridesParser.create().parse_override(text)
+    override = parse_override(text)
     if override.is_sweep_override():
         message = "the command accepts only one value per key"
         raise ConfigError(message, key=text, where=f"override {text}", expected="one value")

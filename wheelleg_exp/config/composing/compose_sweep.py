@@ -20,14 +20,13 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
 from wheelleg_exp.config.composing.compose import Composed, compose, is_unread, override_texts, unread_setting
-from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, hydra_globals
-from wheelleg_exp.config.composing.hydra_errors import translate, where_of
+from wheelleg_exp.config.composing.config_loader import Loader, hydra_globals
+from wheelleg_exp.config.composing.hydra_errors import parse_override, where_of
 from wheelleg_exp.config.config_errors import override_of, parts, raise_all
 from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.packages import config_folder
@@ -129,14 +128,13 @@ def compose_sweep(
     with hydra_globals():
         loader = Loader(folders)
         texts = override_texts(overrides)
-        parser = OverridesParser.create(config_loader=loader)
         parsed: list[Override] = []
         mistakes: list[ConfigError] = []
         for text in texts:
             try:
-                parsed += parser.parse_overrides([text])
-            except HydraException as error:
-                mistakes += parts(translate(error, loader, PRIMARY, [text]))
+                parsed.append(parse_override(text, loader))
+            except ConfigError as error:
+                mistakes.append(error)
         own = [override for override in parsed if _OWN.match(override.key_or_group)]
         chosen = _chosen(own)
         refused = {str(o.input_line): e for o in parsed for e in _refuse(o, chosen)}
@@ -220,9 +218,10 @@ def _replaces(override: Override, groups: Collection[str]) -> bool:
 def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig | None:
     texts = [*(str(override.input_line) for override in parsed), _MULTIRUN]
     try:
-        return loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
-    except (*COMPOSING_ERRORS, ConfigError):
-        return None  # The later check of each job reports why Hydra could not compose the config.
+        multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
+    except ConfigError:
+        return None
+    return None if loader.problems else multirun  # The later check of each job reports the problems.
 
 
 def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:

@@ -1,4 +1,4 @@
-"""Load config files with Hydra's loader, without global Hydra state, and record every file that was read.
+"""Compose config files with Hydra's loader, without global Hydra state, and note every mistake instead of the first.
 
 If config files in two folders have the same name, one file needs a ``# @replaces`` line to replace the other file. If
 most files of a config group have a ``# @package`` line, every file of the group must have one.
@@ -6,40 +6,43 @@ most files of a config group have a ``# @package`` line, every file of the group
 
 from __future__ import annotations
 
+import copy
 import functools
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 from hydra import version
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_loader_impl import ConfigLoaderImpl, get_overrides_dirname
 from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
-from hydra._internal.defaults_list import DefaultsList, create_defaults_list
 from hydra._internal.utils import create_config_search_path
-from hydra.core.default_element import ResultDefault
+from hydra.core.default_element import GroupDefault, ResultDefault
 from hydra.core.object_type import ObjectType
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.core.singleton import Singleton
 from hydra.core.utils import JobRuntime, setup_globals
 from hydra.errors import HydraException
 from hydra.plugins.config_source import ConfigResult, ConfigSource
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, flag_override
+from omegaconf import DictConfig, OmegaConf, flag_override, open_dict
 from omegaconf._utils import get_yaml_loader
-from omegaconf.errors import OmegaConfBaseException
 
-from wheelleg_exp.config.tree_lookup import file_text
+from wheelleg_exp.config.composing import hydra_errors
+from wheelleg_exp.config.composing.hydra_errors import COMPOSING_ERRORS, NowhereMounted, where_of
+from wheelleg_exp.config.composing.provenance import ConfigFile, Provenance
+from wheelleg_exp.config.config_errors import follows_from
+from wheelleg_exp.config.tree_lookup import file_text, yaml_node
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.packages import config_folder, join_folder
 from wheelleg_exp.paths import configs_dir, show_file
-from wheelleg_exp.plain_data import Unreadable, yaml_tree
+from wheelleg_exp.plain_data import Unreadable
+from wheelleg_exp.terms.key_syntax import split_path
 
 _MARK = re.compile(r"^\s*#\s*@\s*replaces\b[ :]*(.*?)\s*$", re.IGNORECASE)
 
@@ -97,8 +100,6 @@ def chosen_file(config_path: str, files: Sequence[Path]) -> Path:
 
 
 _VERSION_BASE = "1.3"
-# Hydra and OmegaConf raise `COMPOSING_ERRORS` for invalid configs, such as RecursionError for cyclic defaults lists.
-COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _HEADER = re.compile(r"^\s*#+\s*@package +(\S+)\s*$")
 _PACKAGE_LINE = re.compile(r"^\s*#+\s*@\s*package\b", re.IGNORECASE)
 _MEANT = re.compile(r"^\s*#+\s*@\s*package[ :]+(\S+)\s*$", re.MULTILINE | re.IGNORECASE)
@@ -122,43 +123,65 @@ def hydra_globals() -> Iterator[None]:
                 Singleton._instances[kind] = instance
 
 
-@dataclass(frozen=True)
-class LoadedFile:
-    """One config file: its path, and its content without the defaults list."""
+class Repository(CachingConfigRepository):  # type: ignore[misc, unused-ignore]
+    """A Hydra config repository that passes the mistakes of files to ``note``, and continues with empty configs.
 
-    file: Path
-    content: dict[Any, Any]
+    ``loaded`` contains the files that were read, and ``missing`` the names, such as ``reward/alive``, without a file.
+    """
 
-
-class Repository(CachingConfigRepository):
-    """A Hydra config repository that keeps each file's content, and raises errors for mistakes that Hydra ignores."""
-
-    def __init__(self, delegate: IConfigRepository) -> None:
+    def __init__(self, delegate: IConfigRepository, note: Callable[[ConfigError, str], None]) -> None:
         super().__init__(delegate)
-        self.loaded: dict[str, LoadedFile] = {}
-        self._seen: set[str] = set()
+        self.loaded: dict[str, ConfigFile] = {}
+        self.missing: set[str] = set()
+        self._note = note
 
-    def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load one config. For an invalid config file, the loader raises a ConfigError with the file and line."""
-        if config_path not in self._seen:
-            self._seen.add(config_path)
-            if self._is_file(config_path):
-                file = chosen_file(config_path, self.files(config_path))
-                result = _load(self._read, config_path, file)
-                lines = file.read_text(encoding="utf-8").splitlines()
-                marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
-                first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
-                wrong = [number for number in marked if number != first or not _HEADER.match(lines[number - 1])]
-                if wrong:
-                    key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
-                    expected = "one '# @package some.path' as the first line of the file"
-                    message = "the file's '# @package' line has no effect"
-                    raise ConfigError(message, key=key, where=where, expected=expected)
-                content = OmegaConf.to_container(result.config, resolve=False)
-                # Copy each file's content, because Hydra changes the config objects while it composes the config.
-                self.loaded[config_path] = LoadedFile(file, dict(content) if isinstance(content, dict) else {})
-                self.cache[f"config_path={config_path}"] = result
-        return super().load_config(config_path)
+    def load_config(self, config_path: str) -> ConfigResult:
+        """Load one config; if its file is missing or invalid, return an empty config with the file's package."""
+        key = f"config_path={config_path}"
+        if key not in self.cache:
+            header: dict[str, str | None] = {"package": None}
+            try:
+                if self._is_file(config_path):
+                    self.cache[key] = self._load_file(config_path)
+            except ConfigError as error:
+                header["package"] = package_header(self.files(config_path)[0]) if self.files(config_path) else None
+                self._note(error, config_path)
+                self.cache[key] = ConfigResult("wheelleg", config_path, OmegaConf.create({}), header, [])
+            if super().load_config(config_path) is None:
+                self.missing.add(config_path)
+                self.cache[key] = ConfigResult("wheelleg", config_path, OmegaConf.create({}), header, [])
+        return self.cache[key]
+
+    def leave_out(self, name: str) -> bool:
+        """Ignore ``override`` entries for a group, such as ``reward@env.rewards``; return whether there are any."""
+        found = False
+        for key, result in self.cache.items():
+            # In a defaults list, a group name without a leading slash is relative to the folder of the config file.
+            folder = key.partition("=")[2].rpartition("/")[0]
+            for default in list(result.defaults_list or ()):
+                if isinstance(default, GroupDefault) and default.override:
+                    group, package = str(default.group).lstrip("/"), f"@{default.package}" if default.package else ""
+                    if name in (f"{group}{package}", f"{folder}/{group}{package}"):
+                        result.defaults_list.remove(default)
+                        found = True
+        return found
+
+    def _load_file(self, config_path: str) -> ConfigResult:
+        file = chosen_file(config_path, self.files(config_path))
+        result = _load(self._read, config_path, file)
+        lines = file.read_text(encoding="utf-8").splitlines()
+        marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
+        first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
+        wrong = [number for number in marked if number != first or not _HEADER.match(lines[number - 1])]
+        if wrong:
+            key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
+            expected = "one '# @package some.path' as the first line of the file"
+            raise ConfigError("the file's '# @package' line has no effect", key=key, where=where, expected=expected)
+        content = OmegaConf.to_container(result.config, resolve=False)
+        named = {str(name): value for name, value in content.items()} if isinstance(content, dict) else {}
+        # Copy each file's content, because Hydra changes the config objects while it composes the config.
+        self.loaded[config_path] = ConfigFile(config_path, file, named)
+        return result
 
     def files(self, config_path: str) -> list[Path]:
         """Return the files of one name, such as ``reward/alive.yaml``, in all config folders; Hydra reads the first."""
@@ -176,8 +199,8 @@ class Repository(CachingConfigRepository):
 
     def _read(self, config_path: str, file: Path) -> ConfigResult:
         """Read a config file like Hydra, but with the faster parser libyaml."""
+        yaml_node(file)
         text = file.read_text(encoding="utf-8")
-        yaml_tree(text)
         content = yaml.load(text, Loader=_yaml_loader())
         if content is not None and not isinstance(content, (dict, str)):
             where, expected = show_file(file, 1), "'key: value' lines"
@@ -228,11 +251,15 @@ def _line_of_message(file: Path, message: str) -> int | None:
     return None
 
 
-class Loader(ConfigLoaderImpl):
-    """A Hydra config loader that keeps the defaults list of the last composed config in ``merged``."""
+class Loader(ConfigLoaderImpl):  # type: ignore[misc, unused-ignore]
+    """A Hydra config loader that notes each mistake, continues without it, and records the source of each value.
+
+    ``problems`` lists the noted mistakes. ``lost`` contains the config keys whose values are unknown because of these
+    mistakes: ``.alive`` means the key ``alive`` in any config section, and an empty text means all keys. ``overrides``
+    contains the accepted overrides, and ``files`` the merged files in Hydra's order.
+    """
 
     repository_used: Repository
-    merged: Sequence[ResultDefault]
 
     def __init__(self, config_dirs: Sequence[Path] = ()) -> None:
         path = create_config_search_path(str(configs_dir()))
@@ -242,40 +269,186 @@ class Loader(ConfigLoaderImpl):
             path.append("config-dir", f"file://{folder}")
         path.append(schema.provider, schema.path)
         super().__init__(path)
-
-    def _parse_overrides_and_create_caching_repo(
-        self, config_name: str | None, overrides: list[str]
-    ) -> tuple[list[Override], CachingConfigRepository]:
-        parsed = OverridesParser.create().parse_overrides(overrides=overrides)
-        self.repository_used = Repository(self.repository)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            self._process_config_searchpath(config_name, parsed, self.repository_used)
-        for source in self.repository_used.get_sources():
-            if not source.available():
-                message, key = f"there is no folder '{source.path}'", "hydra.searchpath"
-                raise ConfigError(message, key=key, where=source.provider, expected="a config folder")
-        return parsed, self.repository_used
-
-    def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: IConfigRepository) -> DictConfig:
-        self.merged = defaults
-        compose = super()._compose_config_from_defaults_list
-        first, *others = [compose([default], repo) for default in defaults]
-        try:
-            # Merge all files at once, because OmegaConf visits the whole config tree after each merge.
-            with flag_override(first, "no_deepcopy_set_nodes", True):
-                first.merge_with(*others)
-        except OmegaConfBaseException:
-            return compose(defaults, repo)  # Hydra's own method raises an error that names the invalid file.
-        return first
+        self.problems: list[ConfigError] = []
+        self.lost: list[str] = []
+        self.overrides: list[Override] = []
+        self.files: list[ConfigFile] = []
+        self.provenance = Provenance()
 
     def load(self, primary: str, overrides: Sequence[str]) -> DictConfig:
         """Compose the primary config with overrides; the result has a node ``hydra`` with Hydra's own settings."""
         return self.load_configuration(primary, list(overrides), RunMode.RUN, from_shell=False)
 
-    def defaults(self, primary: str, parsed: Sequence[Override]) -> DefaultsList:
-        """Return the defaults list that Hydra computes from a primary config and overrides, with all selected files."""
-        return create_defaults_list(self.repository_used, primary, list(parsed), prepend_hydra=True, skip_missing=False)
+    def load_configuration(
+        self,
+        config_name: str,
+        overrides: list[str],
+        run_mode: RunMode,
+        from_shell: bool = True,
+        validate_sweep_overrides: bool = True,
+    ) -> DictConfig:
+        """Compose a config as Hydra does, but continue after a mistake.
+
+        Raise ConfigError for a mistake after which nothing can be composed, such as a cycle of defaults lists.
+        """
+        self.repository_used = Repository(self.repository, self._note_file)
+        self._read_overrides(overrides, run_mode)
+        self._search(config_name)
+        for override in [o for o in self.overrides if not o.is_sweep_override()]:
+            self._reject(override, hydra_errors.option_problems(self, override))
+        while True:
+            try:
+                cfg = super().load_configuration(config_name, [], run_mode, from_shell, validate_sweep_overrides)
+                break
+            except COMPOSING_ERRORS as error:
+                # Hydra has found a mistake in the defaults lists, and has merged nothing yet.
+                self._leave_out(hydra_errors.defaults_problem(error, self, config_name), error)
+        cfg = self._apply(cfg)
+        with open_dict(cfg.hydra):
+            own = [override for override in self.overrides if not override.is_hydra_override()]
+            cfg.hydra.overrides.task = [override.input_line for override in own]
+            cfg.hydra.overrides.hydra = [o.input_line for o in self.overrides if o.is_hydra_override()]
+            cfg.hydra.job.override_dirname = get_overrides_dirname(own, **cfg.hydra.job.config.override_dirname)
+        return cfg
+
+    def note(self, problem: ConfigError, *lost: str) -> None:
+        """Note a mistake, unless an earlier one can be its cause, and the config keys whose values it hides."""
+        if not follows_from(problem, self.lost):
+            self.problems.append(problem)
+        self.lost += lost
+
+    def _note_file(self, problem: ConfigError, config_path: str) -> None:
+        group, _, name = config_path.rpartition("/")
+        files = self.repository_used.files(config_path)
+        package = (package_meant(files[0]) if files else None) or usual_header(self.repository_used, group)
+        places = [f".{name}"] if package is None else ["" if package == "_global_" else package]
+        # If the user wrote ``aliv``, for example, do not report that ``alive`` is missing.
+        self.note(problem, *places, group, *([f".{problem.nearest}"] if problem.nearest else []))
+
+    def _note_missing(self, config_path: str, parent: str) -> None:
+        if problem := hydra_errors.missing_option(self, config_path, parent):
+            self._note_file(problem, config_path)
+
+    def _reject(self, override: Override, problems: Iterable[ConfigError]) -> None:
+        for problem in problems:
+            self.note(problem)
+            self.overrides = [other for other in self.overrides if other is not override]
+
+    def _read_overrides(self, texts: Sequence[str], run_mode: RunMode) -> None:
+        if problem := hydra_errors.spaced(texts):
+            self.note(problem)
+            raise problem
+        self.overrides = []
+        for text in texts:
+            try:
+                self.overrides.append(hydra_errors.parse_override(text))
+            except ConfigError as error:
+                self.note(error)
+        for override in self.overrides if run_mode is RunMode.RUN else ():
+            self._reject(override, [hydra_errors.sweep_problem(override)] if override.is_sweep_override() else [])
+
+    def _search(self, config_name: str) -> None:
+        """Add the folders of ``hydra.searchpath`` to the search path."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                self._process_config_searchpath(config_name, self.overrides, self.repository_used)
+        except HydraException as error:
+            self.note(ConfigError(hydra_errors.flat(error), key=config_name))
+        for source in self.repository_used.get_sources():
+            if not source.available():
+                message, key = f"there is no folder '{source.path}'", "hydra.searchpath"
+                self.note(ConfigError(message, key=key, where=source.provider, expected="a config folder"))
+
+    def _leave_out(self, problem: ConfigError, cause: Exception) -> None:
+        """Note a mistake in the defaults lists, and remove the override or the entry that causes it."""
+        problem.__cause__ = cause
+        self._require_headers()
+        self.note(problem)
+        left = [override for override in self.overrides if where_of(override) != problem.where]
+        unused = isinstance(problem, NowhereMounted) and self.repository_used.leave_out(str(problem.key))
+        if len(left) == len(self.overrides) and not unused:
+            for path in self.repository_used.missing:
+                if parent := hydra_errors.parent_of(self.repository_used, path):
+                    self._note_missing(path, parent)
+            raise problem
+        self.overrides = left
+
+    def _require_headers(self) -> None:
+        """Raise ConfigError for wrong ``# @package`` lines, which can cause any mistake that is found after merging."""
+        mounts = [*hydra_errors.mounted_names(self.repository_used), *map(hydra_errors.name_of, self.overrides)]
+        misplaced = missing_headers(self.repository_used, {name.split("@")[0] for name in mounts if "@" in name})
+        self.problems += misplaced
+        for problem in misplaced:
+            raise problem
+
+    def _parse_overrides_and_create_caching_repo(
+        self, config_name: str | None, overrides: list[str]
+    ) -> tuple[list[Override], CachingConfigRepository]:
+        # Hydra applies only the overrides that select options; ``_apply`` applies the overrides of values.
+        if config_name is None:
+            parsed: tuple[list[Override], CachingConfigRepository]
+            parsed = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
+            return parsed
+        return [override for override in self.overrides if self._selects(override)], self.repository_used
+
+    def _selects(self, override: Override) -> bool:
+        is_group = self.repository_used.group_exists(override.key_or_group)
+        return is_group and not isinstance(override.value(), dict)
+
+    def _compose_config_from_defaults_list(self, defaults: list[ResultDefault], repo: Repository) -> DictConfig:
+        present = []
+        for default in defaults:
+            path, parent, package = str(default.config_path), default.parent or "", default.package or ""
+            if path not in repo.missing:
+                present.append(default)
+            else:
+                self._note_missing(path, parent)
+            if path in repo.loaded and not path.startswith("hydra/"):
+                self.files.append(replace(repo.loaded[path], package=package, parent=parent))
+        compose = super()._compose_config_from_defaults_list
+        first: DictConfig
+        try:
+            first, *others = [compose([default], repo) for default in present]
+            # Merge all files at once, because OmegaConf visits the whole config tree after each merge.
+            with flag_override(first, "no_deepcopy_set_nodes", True):
+                first.merge_with(*others)
+        except COMPOSING_ERRORS:
+            try:
+                first = compose(present, repo)  # Hydra's own method raises an error that names the invalid file.
+            except COMPOSING_ERRORS as error:
+                problem = hydra_errors.merge_problem(error, repo)
+                self.note(problem)
+                raise problem from error
+        for file in self.files:
+            self.provenance.record_file(file)
+        return first
+
+    def _apply(self, cfg: DictConfig) -> DictConfig:
+        """Apply the overrides of values one by one, and return the changed config."""
+        for override in [o for o in self.overrides if not o.is_sweep_override() and not self._selects(o)]:
+            text, keys, value = str(override.input_line), split_path(override.key_or_group), override.value()
+            above = self.provenance.above(keys)
+            in_list = above is not None and isinstance(above.value, list)
+            # Even a rejected override can change the config: Hydra replaces a value above the key by an empty mapping.
+            before = copy.deepcopy(cfg) if (above and not in_list) or isinstance(value, dict) else cfg
+            try:
+                ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
+            except COMPOSING_ERRORS as error:
+                cfg, problem = before, hydra_errors.override_problem(error, override, before, self.groups())
+                problem.__cause__ = error
+                if not follows_from(problem, self.lost):
+                    self._require_headers()
+                self._reject(override, [problem])
+                continue
+            if above is not None and in_list:
+                changed = OmegaConf.select(cfg, above.path)
+                self.provenance.record_override(text, above.keys, OmegaConf.to_container(changed, resolve=False))
+            elif override.is_delete():
+                self.provenance.record_deletion(text, keys)
+            else:
+                self.provenance.record_override(text, keys, value)
+        return cfg
 
     def groups(self) -> list[str]:
         """Return the names of all config groups except Hydra's own config groups; a nested group is named ``a/b``."""
@@ -292,7 +465,8 @@ class Loader(ConfigLoaderImpl):
 
     def options(self, group: str) -> list[str]:
         """Return the names of the options of a config group."""
-        return self.repository.get_group_options(group, ObjectType.CONFIG)
+        found: list[str] = self.repository.get_group_options(group, ObjectType.CONFIG)
+        return found
 
 
 # A file of the config group ``task`` needs the line ``# @package _global_``, even if the group has no other file.

@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import re
 from collections.abc import Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config import tree_lookup as lookup
-from wheelleg_exp.config.composing.config_loader import COMPOSING_ERRORS, Loader, Repository, missing_headers
-from wheelleg_exp.config.config_errors import AbsentKey, join
+from wheelleg_exp.config.config_errors import AbsentKey
 from wheelleg_exp.config.key_slots import is_settable
 from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.config_loader import Loader, Repository
+
+# Hydra and OmegaConf raise `COMPOSING_ERRORS` for invalid configs, such as RecursionError for cyclic defaults lists.
+COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
 _IN_FILE = re.compile(r"^In '?([^':]+)'?:")
 
 
-class NowhereMounted(ConfigError):
+class NowhereMounted(AbsentKey):
     """A defaults list overrides the option of a config group, but no defaults list selects an option of this group."""
 
 
@@ -36,36 +40,48 @@ def where_of(override: Override) -> str:
     return f"override {override.input_line}"
 
 
-def option_problems(loader: Loader, parsed: Sequence[Override]) -> Iterator[ConfigError]:
-    """Yield an error for each override that selects an option, or a config group, that does not exist."""
-    for override in parsed:
-        group = override.key_or_group
-        if isinstance(override.value(), dict) or override.is_hydra_override():
-            continue
-        if loader.repository_used.group_exists(group):
-            yield from _value_problems(loader.repository_used, override)
-        elif override.package is not None:
-            yield _no_group(loader, group, where_of(override))
+def option_problems(loader: Loader, override: Override) -> list[ConfigError]:
+    """Return the errors of an override that selects an option, or a config group, that does not exist."""
+    group, value, key, where = override.key_or_group, override.value(), name_of(override), where_of(override)
+    repository = loader.repository_used
+    if isinstance(value, dict) or override.is_hydra_override():
+        return []
+    if not repository.group_exists(group):
+        return [] if override.package is None else [_no_group(loader, group, where)]
+    if override.is_delete():
+        return []
+    options = repository.get_group_options(group)
+    if override.is_force_add() or not isinstance(value, (str, list)):
+        expected = f"{key}=<option> or +{key}=<option>, one of " + ", ".join(options)
+        return [ConfigError("a group takes the name of an option", key=key, where=where, expected=expected)]
+    names = [str(name) for name in (value if isinstance(value, list) else [value]) if "${" not in str(name)]
+    wrong = [name for name in names if name not in options and not repository.config_exists(f"{group}/{name}")]
+    return [_no_option(key, name, options, where) for name in wrong]
+
+
+def missing_option(loader: Loader, path: str, parent: str) -> ConfigError | None:
+    """Return the error for an option without a file, selected by the config ``parent``; None for an optional entry."""
+    group, _, name = path.rpartition("/")
+    repository = loader.repository_used
+    entries = lookup.defaults_entries(repository.loaded[parent].file) if parent in repository.loaded else []
+    if any(entry.optional and entry.key.partition("@")[0].lstrip("/").endswith(group) for entry in entries):
+        return None
+    chosen = (o for o in loader.overrides if o.key_or_group == group and name in _elements(o.value()))
+    where = next(map(where_of, chosen), None) or place_of_option(repository, parent, path)
+    if group and not repository.group_exists(group):
+        return _no_group(loader, group, where)
+    return _no_option(group or path, name, repository.get_group_options(group), where)
+
+
+def _elements(value: object) -> list[str]:
+    return list(map(str, value)) if isinstance(value, list) else [str(value)]
 
 
 def _no_group(loader: Loader, group: str, where: str | None) -> ConfigError:
     return not_one_of(f"there is no config group '{group}'", group, loader.groups(), key=group, where=where)
 
 
-def _value_problems(repository: Repository, override: Override) -> list[ConfigError]:
-    value, key, where = override.value(), _name_of(override), where_of(override)
-    if override.is_delete():
-        return []
-    options = repository.get_group_options(override.key_or_group)
-    if override.is_force_add() or not isinstance(value, (str, list)):
-        expected = f"{key}=<option> or +{key}=<option>, one of " + ", ".join(options)
-        return [ConfigError("a group takes the name of an option", key=key, where=where, expected=expected)]
-    names = [str(name) for name in (value if isinstance(value, list) else [value]) if "${" not in str(name)]
-    wrong = [n for n in names if n not in options and not repository.config_exists(f"{override.key_or_group}/{n}")]
-    return [_no_option(key, name, options, where) for name in wrong]
-
-
-def _name_of(override: Override) -> str:
+def name_of(override: Override) -> str:
     """Return the group or key of an override, such as ``reward@env.rewards``, without ``+`` and ``~``."""
     return str(override.get_key_element()).lstrip("+~")
 
@@ -74,15 +90,6 @@ def _no_option(key: str, name: str, options: Sequence[str], where: str | None) -
     if not options:
         return ConfigError(f"'{name}' is not an option", key=key, where=where, expected="a group with options")
     return not_one_of(f"'{name}' is not an option", name, options, key=key, where=where)
-
-
-def _override_with(parsed: Sequence[Override], group: str, name: str) -> str | None:
-    for override in parsed:
-        value = override.value()
-        elements = value if isinstance(value, list) else [value]
-        if override.key_or_group == group and name in [str(e) for e in elements]:
-            return where_of(override)
-    return None
 
 
 def _place_in_defaults(repository: Repository, message: str, path: str) -> str | None:
@@ -94,6 +101,11 @@ def place_of_option(repository: Repository, parent: str, path: str) -> str | Non
     """Return the file and line at which a config's defaults list names the option ``path``, or None."""
     loaded = repository.loaded.get(parent)
     return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
+
+
+def parent_of(repository: Repository, path: str) -> str | None:
+    """Return the name of the first config whose defaults list names the option ``path``, or None."""
+    return next((name for name, loaded in repository.loaded.items() if _defaults_line(loaded.file, path)), None)
 
 
 def _defaults_line(file: Path, path: str) -> int | None:
@@ -113,8 +125,14 @@ def _defaults_line(file: Path, path: str) -> int | None:
     return lookup.scalar_line(file, name, path, f"/{path}")
 
 
-def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Override]) -> ConfigError:
-    text = str(problem)
+def defaults_problem(problem: Exception, loader: Loader, primary: str) -> ConfigError:
+    """Return the error for an exception that Hydra raised while it collected the defaults lists of all files."""
+    text, parsed = str(problem), loader.overrides
+    if isinstance(problem, MissingConfigException):
+        options = [name for name in loader.repository_used.get_group_options("") if not name.startswith("_")]
+        return not_one_of("there is no such primary config", primary, options, key=primary)
+    if isinstance(problem, RecursionError):
+        return _circle(loader.repository_used, primary)
     lists = [o for o in parsed if o.package is None and isinstance(o.value(), list)]
     needed = [o for o in lists if "appears more than once" in text or f"${{{o.key_or_group}}}" in text]
     for listed in needed[:1]:
@@ -134,8 +152,8 @@ def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overr
                 return ConfigError(message, key=entry.key.lstrip("/"), where=place, expected=expected)
     quoted = re.search(r"Could not (?:override|delete) '([^']+)'", text)
     key = quoted.group(1).split("=")[0] if quoted else None
-    mounted = _mounted_names(loader.repository_used)
-    culprit = next((o for o in parsed if _name_of(o) == key), None)
+    mounted = mounted_names(loader.repository_used)
+    culprit = next((o for o in parsed if name_of(o) == key), None)
     where = where_of(culprit) if culprit else _place_in_defaults(loader.repository_used, text, key or "")
     if key is None:
         return ConfigError(flat(problem), where=where)
@@ -158,7 +176,7 @@ def _defaults_problem(problem: Exception, loader: Loader, parsed: Sequence[Overr
 
 def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) -> ConfigError:
     message = "an option of this group is selected already"
-    culprit = next((o for o in parsed if o.is_add() and _name_of(o) == key), None)
+    culprit = next((o for o in parsed if o.is_add() and name_of(o) == key), None)
     if culprit is not None:
         expected = f"{key}=<option> without the plus sign"
         return ConfigError(message, key=key, where=where_of(culprit), expected=expected)
@@ -176,7 +194,8 @@ def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntr
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
 
 
-def _mounted_names(repository: Repository) -> list[str]:
+def mounted_names(repository: Repository) -> list[str]:
+    """Return the names of the config groups that files select, such as ``reward@env.rewards``."""
     entries = (entry for loaded in repository.loaded.values() for entry in lookup.defaults_entries(loaded.file))
     return list(dict.fromkeys(entry.key.lstrip("/") for entry in entries if not entry.override))
 
@@ -191,41 +210,15 @@ def flat(error: BaseException) -> str:
 _FORMS = "key=value, +key=value, ++key=value or ~key"
 
 
-class DoesNotMerge(ConfigError):
-    """Hydra cannot merge the config file ``config_path`` with the files before it in the defaults list."""
-
-    config_path: str | None = None
-
-
-def translate(error: Exception, loader: Loader, primary: str, overrides: Sequence[str]) -> ConfigError:
-    """Convert an exception of Hydra or OmegaConf to a ConfigError.
-
-    ``loader`` is the config loader that raised ``error``. ``overrides`` contains the overrides as the user typed them.
-    """
-    spaced = _spaced(overrides)
-    if spaced is not None:
-        return spaced
-    found = [problem for problem in map(unreadable, overrides) if problem is not None]
-    if found:
-        return join(found)
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    found = [_sweep(o) for o in parsed if o.is_sweep_override()] or list(option_problems(loader, parsed))
-    if found:
-        return join(found)
-    if isinstance(error, MissingConfigException):
-        path = (error.missing_cfg_file or "").removesuffix(".yaml")
-        repository = loader.repository_used
-        group, _, name = path.rpartition("/")
-        if path == primary:
-            options = [name for name in repository.get_group_options("") if not name.startswith("_")]
-            return not_one_of("there is no such primary config", primary, options, key=primary)
-        where = _override_with(parsed, group, name) or _place_in_defaults(repository, str(error), path)
-        if group and not repository.group_exists(group):
-            return _no_group(loader, group, where)
-        return _no_option(group or path, name, repository.get_group_options(group), where)
-    if isinstance(error, RecursionError):
-        return _circle(loader.repository_used, primary)
-    return _by_stage(error, loader, primary, parsed)
+def merge_problem(problem: Exception, repository: Repository) -> ConfigError:
+    """Return the error for a config file that Hydra cannot merge with the files before it in the defaults lists."""
+    text = str(problem)
+    match, full = _IN_FILE.match(text), re.search(r"full_key: (\S+)", text)
+    key = full.group(1) if full else None
+    loaded = repository.loaded.get(match.group(1)) if match else None
+    line = lookup.scalar_line(loaded.file, key.rsplit(".", 1)[-1]) if loaded and key else None
+    message = f"does not merge: {flat(ValueError(text.split('composing config:', 1)[-1]))}"
+    return ConfigError(message, key=key, where=show_file(loaded.file, line) if loaded else None)
 
 
 def _circle(used: Repository, primary: str) -> ConfigError:
@@ -247,7 +240,7 @@ def _circle(used: Repository, primary: str) -> ConfigError:
     return ConfigError(message, key=primary, expected=expected)
 
 
-def _spaced(overrides: Sequence[str]) -> ConfigError | None:
+def spaced(overrides: Sequence[str]) -> ConfigError | None:
     """Find an override that the shell has split at spaces: ``key = value``."""
     for index, text in enumerate(overrides):
         before, after = overrides[:index][-1:], overrides[index + 1 :][:1]
@@ -259,15 +252,15 @@ def _spaced(overrides: Sequence[str]) -> ConfigError | None:
     return None
 
 
-def unreadable(text: str) -> ConfigError | None:
-    """Return the error for an override that cannot be parsed; None for a valid override."""
+def parse_override(text: str, loader: Loader | None = None) -> Override:
+    """Parse an override; raise ConfigError for a text that is not an override. ``glob(...)`` needs the ``loader``."""
     try:
-        override = OverridesParser.create().parse_override(text)
+        override = OverridesParser.create(config_loader=loader).parse_override(text)
     except HydraException as error:
         reason = str(error).splitlines()[0].partition(" expecting ")[0]
     else:
         if override.key_or_group:
-            return None
+            return override
         reason = "there is no key"
     element = re.match(r"([^=\[]*)\[(\d+)\]=(.*)", text)
     expected = f"{element[1]}.{element[2]}={element[3]}" if element else _FORMS
@@ -276,10 +269,11 @@ def unreadable(text: str) -> ConfigError | None:
         expected = key.replace(":", "=", 1).replace("= ", "=")
     if equals and re.search(r"[*?^$\\|(]", value) and not re.search(r"[\"']", value):
         expected = f"""quotes around text with such characters, inside quotes of the shell: "{key}=['...']\""""
-    return ConfigError(f"not an override: {reason}", key=text, where=f"override {text}", expected=expected)
+    raise ConfigError(f"not an override: {reason}", key=text, where=f"override {text}", expected=expected)
 
 
-def _sweep(override: Override) -> ConfigError:
+def sweep_problem(override: Override) -> ConfigError:
+    """Return the error for an override with several values in a command that composes one config."""
     key = override.key_or_group
     text = str(override.input_line).split("=", 1)[-1]
     forms = "; -m (--multirun) trains each of several"
@@ -287,41 +281,8 @@ def _sweep(override: Override) -> ConfigError:
     return ConfigError("several values for one run", key=key, where=where_of(override), expected=f"one value{forms}")
 
 
-def _by_stage(error: Exception, loader: Loader, primary: str, parsed: Sequence[Override]) -> ConfigError:
-    mounts = [*_mounted_names(loader.repository_used), *map(_name_of, parsed)]
-    explicit = {name.split("@")[0] for name in mounts if "@" in name}
-    misplaced = missing_headers(loader.repository_used, explicit)
-    if misplaced:
-        return join(misplaced)
-    try:
-        defaults = loader.defaults(primary, parsed)
-    except COMPOSING_ERRORS as problem:
-        return _defaults_problem(problem, loader, parsed)
-    try:
-        cfg = loader._compose_config_from_defaults_list(defaults.defaults, loader.repository_used)
-    except COMPOSING_ERRORS as problem:
-        text = str(problem)
-        match, full = _IN_FILE.match(text), re.search(r"full_key: (\S+)", text)
-        key = full.group(1) if full else None
-        loaded = loader.repository_used.loaded.get(match.group(1)) if match else None
-        line = lookup.scalar_line(loaded.file, key.rsplit(".", 1)[-1]) if loaded and key else None
-        message = f"does not merge: {flat(ValueError(text.split('composing config:', 1)[-1]))}"
-        merge_error = DoesNotMerge(message, key=key, where=show_file(loaded.file, line) if loaded else None)
-        merge_error.config_path = match.group(1) if match else None
-        return merge_error
-    OmegaConf.set_struct(cfg, True)
-    problems = []
-    for override in defaults.config_overrides:
-        # Copy the config, because even a rejected override can change it: Hydra replaces null by an empty mapping.
-        before = copy.deepcopy(cfg)
-        try:
-            ConfigLoaderImpl._apply_overrides_to_config([override], cfg)
-        except COMPOSING_ERRORS as problem:
-            problems.append(_override_problem(problem, override, before, loader.groups()))
-    return join(problems) if problems else ConfigError(flat(error), key=primary)
-
-
-def _override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
+def override_problem(problem: Exception, override: Override, cfg: DictConfig, groups: Sequence[str]) -> ConfigError:
+    """Return the error for an override that Hydra cannot apply to the config ``cfg``."""
     key, where = override.key_or_group, where_of(override)
     # Suggest Hydra's own settings only for an override of a Hydra setting.
     plain = OmegaConf.to_container(cfg, resolve=False)

@@ -1,4 +1,4 @@
-"""Find the file or override that set each value and selected each config group of a composed config.
+"""Record the file or override that sets each value of a config, and find the config groups that it selects.
 
 The source of a config value is a file and line, or an override. If several files or overrides set one value,
 ``Source.shadowed`` lists the earlier ones, which have no effect.
@@ -6,20 +6,46 @@ The source of a config value is a file and line, or an override. If several file
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from hydra.core.override_parser.types import Override
-from omegaconf._utils import split_key
-
-from wheelleg_exp.config.composing.config_loader import LoadedFile, Loader, hydra_globals
-from wheelleg_exp.config.tree_lookup import defaults_entries, leaves, line_table
+from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
 
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.config_loader import Loader
+
 MISSING = "???"
+
+
+@dataclass(frozen=True)
+class ConfigFile:
+    """A config file that Hydra loaded: the name that Hydra gives to it, such as ``reward/alive``, and its content.
+
+    ``content`` excludes the defaults list. Hydra puts the content below the key ``package``; an empty key is the top
+    of the tree. ``parent`` names the config file whose defaults list contains ``config_path``.
+    """
+
+    config_path: str
+    file: Path
+    content: Mapping[str, object]
+    package: str = ""
+    parent: str = ""
+
+    @property
+    def group(self) -> str:
+        """Return the config group of a config file, such as ``reward`` for the file ``reward/alive.yaml``."""
+        return self.config_path.rpartition("/")[0]
+
+    @property
+    def name(self) -> str:
+        """Return the name of a config file without ``.yaml``, such as ``alive`` for the file ``reward/alive.yaml``."""
+        return self.config_path.rpartition("/")[2]
 
 
 @dataclass(frozen=True)
@@ -28,15 +54,22 @@ class Source:
 
     ``value`` is the config value with unresolved interpolations. ``package`` is the key of the config section into
     which Hydra puts the content of ``file``. ``shadowed`` lists the sources that this source replaced, oldest first.
+    Sources sorted by ``order`` are in the order in which Hydra first set their keys.
     """
 
-    path: str
-    value: Any
+    keys: Keys
+    value: object
     file: Path | None = None
     line: int | None = None
     override: str | None = None
     package: Keys = ()
     shadowed: tuple[Source, ...] = ()
+    order: tuple[int, ...] = ()
+
+    @property
+    def path(self) -> str:
+        """The dotted path of the config value."""
+        return dotted(self.keys)
 
     @property
     def where(self) -> str:
@@ -45,17 +78,30 @@ class Source:
             return f"override {self.override}"
         return show_file(self.file, self.line) if self.file is not None else "unknown"
 
+    @property
+    def history(self) -> tuple[Source, ...]:
+        """The earlier sources of a value and this one, except an empty mapping, to which later files only add keys."""
+        return self.shadowed if self.value == {} else (*self.shadowed, replace(self, shadowed=()))
+
+
+_Tree = dict[str, "_Tree | Source"]
+
 
 class Provenance(Mapping[str, Source]):
     """The last source (file and line, or override) of each value of a config, by dotted path.
 
-    For each config key that an override removed, ``deleted`` contains a ``Source`` that names the override.
+    The loader records each file and each override when Hydra merges it. For each config key that an override removed,
+    ``deleted`` contains a ``Source`` that names the override.
     """
 
-    def __init__(self, sources: dict[Keys, Source], deleted: dict[Keys, Source]) -> None:
-        self._sources = sources
-        self._by_path = {dotted(keys): source for keys, source in sources.items()}
-        self.deleted = {dotted(keys): source for keys, source in deleted.items()}
+    def __init__(self) -> None:
+        self._tree: _Tree = {}
+        self._numbers = itertools.count()
+        self.deleted: dict[str, Source] = {}
+
+    @cached_property
+    def _by_path(self) -> dict[str, Source]:
+        return {source.path: source for source in self.below("")}
 
     def __getitem__(self, path: str) -> Source:
         return self._by_path[path]
@@ -68,13 +114,12 @@ class Provenance(Mapping[str, Source]):
 
     def below(self, path: str) -> list[Source]:
         """Return the sources of all config values at or below the config key ``path``."""
-        keys = split_path(path)
-        return [source for leaf, source in self._sources.items() if leaf[: len(keys)] == keys]
+        return _sources(at(self._tree, path))
 
     def deleted_below(self, path: str) -> list[Source]:
         """Return a ``Source`` for each config key at or below ``path`` that an override removed."""
         keys = split_path(path)
-        return [source for leaf, source in self.deleted.items() if split_path(leaf)[: len(keys)] == keys]
+        return [source for source in self.deleted.values() if source.keys[: len(keys)] == keys]
 
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
@@ -87,126 +132,73 @@ class Provenance(Mapping[str, Source]):
         keys = split_path(path)
         # If `env.x` is missing, return None, because the place of the whole section `env` would not help a user.
         for length in range(len(keys), min(2, len(keys)) - 1, -1):
-            found = [s for leaf, s in self._sources.items() if leaf[:length] == keys[:length]]
+            found = _sources(at(self._tree, keys[:length]))
             if found:
                 return found[0].where
         return None
 
+    def record_file(self, file: ConfigFile) -> None:
+        """Record that Hydra merged a config file, after all files and before all overrides recorded later."""
+        package, lines = split_path(file.package), line_table(file.file)
+        for keys, value in leaves(file.content) if file.content or package else ():
+            line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), None)
+            self._record(Source((*package, *keys), value, file.file, line, package=package))
 
-class _Replay:
-    """Repeat the composition of a config, file by file, and store which file or override sets each value."""
+    def record_override(self, text: str, keys: Keys, value: object) -> None:
+        """Record that an override set a config key to a value, or merged a mapping into a config section."""
+        for inside, leaf in leaves(value):
+            self._record(Source((*keys, *inside), leaf, override=text))
 
-    def __init__(self) -> None:
-        self.sources: dict[Keys, Source] = {}
-        self.deleted: dict[Keys, Source] = {}
-
-    def write(self, keys: Keys, source: Source) -> None:
-        """Record the source of a config value, and the value's earlier sources, which the new source replaces."""
-        below = [leaf for leaf in self.sources if len(leaf) > len(keys) and leaf[: len(keys)] == keys]
-        old_value = self.sources[keys].value if keys in self.sources else None
-        if source.value == {} and (below or isinstance(old_value, dict)):
-            return
-        absent = isinstance(source.value, str) and source.value == MISSING and source.override is None
-        if absent and (below or keys in self.sources):
-            return
-        above = [keys[:n] for n in range(1, len(keys)) if keys[:n] in self.sources]
-        hidden = [*above, *below, *([keys] if keys in self.sources else [])]
-        shadowed = tuple(entry for old in hidden for entry in _history(self.sources[old]))
-        self._put(keys, replace(source, shadowed=shadowed), hidden)
-
-    def delete(self, keys: Keys, override: str) -> None:
+    def record_deletion(self, text: str, keys: Keys) -> None:
         """Record that an override deleted a config key and all keys below this key."""
-        gone = [leaf for leaf in self.sources if leaf[: len(keys)] == keys]
-        for leaf in gone:
-            shadowed = _history(self.sources[leaf])
-            self.deleted[leaf] = Source(dotted(leaf), None, override=override, shadowed=shadowed)
-        parent = keys[:-1]
-        if parent and sum(leaf[: len(parent)] == parent for leaf in self.sources) == len(gone):
-            self._put(parent, Source(dotted(parent), {}, override=override), gone)
-        else:
-            # When a key is deleted, group the section's other keys together in ``sources``, in unchanged order.
-            inside = {leaf: old for leaf, old in self.sources.items() if leaf[: len(parent)] == parent}
-            before: dict[Keys, Source] = {}
-            for leaf, old in self.sources.items():
-                before |= inside if leaf in inside and leaf not in before else {leaf: old}
-            self.sources = {leaf: old for leaf, old in before.items() if leaf not in set(gone)}
-
-    def _put(self, keys: Keys, source: Source, hidden: Sequence[Keys]) -> None:
-        """Replace the sources of the keys ``hidden`` by one source, at the first of their positions."""
-        if not hidden or list(hidden) == [keys]:
-            self.sources[keys] = source
+        section = at(self._tree, keys[:-1])
+        if not isinstance(section, dict):
             return
-        gone, first = set(hidden), next(leaf for leaf in self.sources if leaf in hidden)
-        entries = [(keys, source) if leaf == first else (leaf, old) for leaf, old in self.sources.items()]
-        self.sources = {leaf: old for leaf, old in entries if leaf == keys or leaf not in gone}
+        first = min((source.order for source in _sources(section)), default=())
+        for old in _sources(section.pop(keys[-1], None)):
+            self.deleted[old.path] = Source(old.keys, None, override=text, shadowed=old.history)
+        if not section and keys[:-1]:
+            self._record(Source(keys[:-1], {}, override=text, order=first))
+        for rest in _sources(section):  # The section has the position of its first key, even if this key is deleted.
+            self._put(replace(rest, order=(*first, *rest.order)))
+
+    def above(self, keys: Keys) -> Source | None:
+        """Return the source of the value, such as a list or null, that is above a config key; None for a section."""
+        found = (at(self._tree, keys[:n]) for n in range(1, len(keys)))
+        return next((source for source in found if isinstance(source, Source)), None)
+
+    def _record(self, source: Source) -> None:
+        if source.keys[0] == "hydra":
+            return
+        above = self.above(source.keys)
+        old = [above] if above is not None else _sources(at(self._tree, source.keys))
+        is_mapping = above is None and any(other.keys != source.keys or isinstance(other.value, dict) for other in old)
+        is_absent = source.value == MISSING and source.override is None and above is None
+        if (source.value == {} and is_mapping) or (is_absent and old):
+            return
+        shadowed = tuple(entry for other in old for entry in other.history)
+        order = source.order or min((other.order for other in old), default=(next(self._numbers),))
+        self._put(replace(source, shadowed=shadowed, order=order))
+
+    def _put(self, source: Source) -> None:
+        section = self._tree
+        for key in source.keys[:-1]:
+            node = section.get(key)
+            if not isinstance(node, dict):
+                node = section[key] = {}
+            section = node
+        section[source.keys[-1]] = source
 
 
-def _history(source: Source) -> tuple[Source, ...]:
-    # Omit an empty mapping from the history, because later config files only add keys to an empty mapping.
-    own = () if source.value == {} else (replace(source, shadowed=()),)
-    return (*source.shadowed, *own)
-
-
-def trace(loader: Loader, primary: str, parsed: Sequence[Override]) -> Provenance:
-    """Return the source of each config value, found by applying the config files and overrides one by one.
-
-    Call ``trace`` only after ``loader`` has composed the config ``primary`` with the overrides ``parsed``.
-    """
-    replay = _Replay()
-    with hydra_globals():
-        defaults = loader.defaults(primary, parsed)
-        loaded = loader.repository_used.loaded
-        for default in defaults.defaults:
-            if default.config_path in loaded:
-                _write_file(replay, loaded[default.config_path], default.package or "")
-        for override in defaults.config_overrides:
-            text = str(override.input_line)
-            keys = tuple(split_key(override.key_or_group))
-            if override.is_delete():
-                replay.delete(keys, text)
-            else:
-                keys, value = _into_list(replay, keys, override.value())
-                for rest, leaf in leaves(value):
-                    path = (*keys, *rest)
-                    replay.write(path, Source(dotted(path), leaf, override=text))
-    sources = {keys: source for keys, source in replay.sources.items() if keys[0] != "hydra"}
-    return Provenance(sources, replay.deleted)
-
-
-def _write_file(replay: _Replay, loaded: LoadedFile, package: str) -> None:
-    prefix = tuple(package.split(".")) if package else ()
-    lines = line_table(loaded.file)
-    if not loaded.content and not prefix:
-        return
-    for keys, value in leaves(loaded.content):
-        line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), None)
-        path = (*prefix, *keys)
-        replay.write(path, Source(dotted(path), value, file=loaded.file, line=line, package=prefix))
-
-
-def _into_list(replay: _Replay, keys: Keys, value: Any) -> tuple[Keys, Any]:
-    for n in range(1, len(keys)):
-        source = replay.sources.get(keys[:n])
-        if source is not None and isinstance(source.value, list):
-            return keys[:n], _with_element(source.value, keys[n:], value)
-    return keys, value
-
-
-def _with_element(node: Any, keys: Keys, value: Any) -> Any:
-    if not keys:
-        return value
-    if isinstance(node, list):
-        copy = list(node)
-        copy[int(keys[0])] = _with_element(copy[int(keys[0])], keys[1:], value)
-        return copy
-    return {**(node or {}), keys[0]: _with_element((node or {}).get(keys[0]), keys[1:], value)}
+def _sources(node: object) -> list[Source]:
+    return sorted((leaf for _, leaf in leaves(node) if isinstance(leaf, Source)), key=lambda source: source.order)
 
 
 @dataclass(frozen=True)
 class Choice:
     """A selection of a config group's options; ``where`` names the override or the line of a file that selects them."""
 
-    value: Any
+    value: object
     where: str
 
 
@@ -233,51 +225,44 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-def find_mounts(loader: Loader, parsed: Sequence[Override]) -> list[Mount]:
+def find_mounts(loader: Loader) -> list[Mount]:
     """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
-    with hydra_globals():
-        return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader, parsed).items()]
+    return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader).items()]
 
 
 def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
     # If one task extends another, ignore the file of the extended task, because the user did not select it.
-    mine = [d for d in loader.merged if _group_of(d.config_path) == group and _group_of(d.parent) != group]
+    mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
     if package:
-        mine = [d for d in mine if d.package == package]
+        mine = [file for file in mine if file.package == package]
     elif mine:
-        package = mine[0].package or ""
-    selected = tuple(str(d.config_path).rpartition("/")[2] for d in mine)
+        package = mine[0].package
+    selected = tuple(file.name for file in mine)
     return Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices))
 
 
-def _group_of(config_path: str | None) -> str:
-    return str(config_path).rpartition("/")[0]
-
-
-def _choices_by_mount(loader: Loader, parsed: Sequence[Override]) -> dict[str, list[Choice]]:
+def _choices_by_mount(loader: Loader) -> dict[str, list[Choice]]:
     """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
-    loaded = loader.repository_used.loaded
     # Hydra applies config files in the order of the defaults list, parents before their children.
-    for path in dict.fromkeys(str(default.config_path) for default in loader.merged):
-        for name, choice, override in _in_file(path, loaded[path].file) if path in loaded else ():
+    for file in {file.config_path: file for file in loader.files}.values():
+        for name, choice, override in _in_file(file):
             (replacing if override else plain).setdefault(name, []).append(choice)
     found = {name: [*plain.get(name, []), *replacing.get(name, [])] for name in {**plain, **replacing}}
-    for override in parsed:
+    for override in loader.overrides:
         name = override.get_key_element().lstrip("+~")
         if name in found or loader.repository_used.group_exists(override.key_or_group):
             found.setdefault(name, []).append(Choice(override.value(), f"override {override.input_line}"))
     return {name: choices for name, choices in found.items() if not name.startswith("hydra/")}
 
 
-def _in_file(config_path: str, file: Path) -> Iterator[tuple[str, Choice, bool]]:
-    folder = config_path.rpartition("/")[0]
-    for entry in defaults_entries(file):
-        group, at, package = entry.key.partition("@")
-        absolute = group.lstrip("/") if group.startswith("/") or not folder else f"{folder}/{group}"
-        yield f"{absolute}{at}{package}", Choice(entry.value, show_file(file, entry.line)), entry.override
+def _in_file(file: ConfigFile) -> Iterator[tuple[str, Choice, bool]]:
+    for entry in defaults_entries(file.file):
+        is_absolute = entry.key.startswith("/") or not file.group
+        name = entry.key.lstrip("/") if is_absolute else f"{file.group}/{entry.key}"
+        yield name, Choice(entry.value, show_file(file.file, entry.line)), entry.override
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:

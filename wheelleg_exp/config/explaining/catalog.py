@@ -71,7 +71,7 @@ def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
 def is_term(section: str, found: Any) -> bool:
     """Return whether an object of a library module is a term: a concrete class, or a function of the environment."""
     if inspect.isclass(found):
-        from wheelleg_exp.managers import TermBase
+        from wheelleg_exp.managers.manager_base import TermBase
 
         methods = [getattr(found, name) for name in dir(found) if not name.startswith("__")]
         codes = [method.__code__ for method in methods if inspect.isfunction(method)]

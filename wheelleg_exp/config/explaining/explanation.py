@@ -226,7 +226,7 @@ def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanatio
     deleted = composed.provenance.deleted_below(path)
     if deleted and not _is_there(tree, keys):
         earlier = tuple(s for source in deleted for s in source.shadowed)
-        gone = Source(path, None, override=deleted[0].override)
+        gone = Source(keys, None, override=deleted[0].override)
         return Explanation(path, "removed", sources=(*earlier, gone), meanings=meanings(tree, keys, None, earlier))
     return None
 
