@@ -364,13 +364,14 @@ class Loader(ConfigLoaderImpl):  # type: ignore[misc, unused-ignore]
         """Note a mistake in the defaults lists, and remove the override or the entry that causes it."""
         problem.__cause__ = cause
         self._require_headers()
-        self.note(problem)
         left = [override for override in self.overrides if where_of(override) != problem.where]
         unused = isinstance(problem, NowhereMounted) and self.repository_used.leave_out(str(problem.key))
-        if len(left) == len(self.overrides) and not unused:
-            for path in self.repository_used.missing:
-                if parent := hydra_errors.parent_of(self.repository_used, path):
-                    self._note_missing(path, parent)
+        is_last = len(left) == len(self.overrides) and not unused
+        for path in self.repository_used.missing if is_last else ():
+            if parent := hydra_errors.parent_of(self.repository_used, path):
+                self._note_missing(path, parent)
+        self.note(problem)
+        if is_last:
             raise problem
         self.overrides = left
 
