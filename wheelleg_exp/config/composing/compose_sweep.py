@@ -24,10 +24,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from wheelleg_exp.config.checking.find_mistakes import find_mistakes
-from wheelleg_exp.config.composing.compose import Composed, compose, is_unread, override_texts, unread_setting
+from wheelleg_exp.config.composing.compose import Composed, is_unread, override_texts, unread_setting
 from wheelleg_exp.config.composing.config_loader import Loader, hydra_globals
 from wheelleg_exp.config.composing.hydra_errors import parse_override, where_of
-from wheelleg_exp.config.config_errors import override_of, parts, raise_all
+from wheelleg_exp.config.config_errors import override_of, raise_all
 from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.packages import config_folder
 
@@ -142,8 +142,7 @@ def compose_sweep(
         mistakes += refused.values()
         accepted = [override for override in parsed if str(override.input_line) not in refused]
         multirun = _compose_multirun(loader, accepted)
-        if multirun is None:
-            mistakes += _mistakes_of([o for o in accepted if o in own], folders)
+        mistakes += _mistakes_of(own, loader.problems)
         params = (multirun.hydra.sweeper.get("params") or {}) if multirun is not None else {}
         texts = [f"{key}={value}" for key, value in params.items()]
         of_files = OverridesParser.create(config_loader=loader).parse_overrides(texts)
@@ -157,7 +156,7 @@ def compose_sweep(
     if mistakes:
         raise_all(list({(m.key, m.message): m for m in reversed(mistakes)}.values())[::-1])
     if multirun is None:
-        multirun = _compose_launcher(loader, own, parsed)
+        raise_all(loader.problems)
     launcher = str(multirun.hydra.runtime.choices["hydra/launcher"])
     # Submit all sweep jobs to a job queue (such as Slurm) at once, because the queue limits the number of running jobs.
     n_jobs = len(checked) if launcher in QUEUES else 1
@@ -216,34 +215,26 @@ def _replaces(override: Override, groups: Collection[str]) -> bool:
 
 
 def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig | None:
-    texts = [*(str(override.input_line) for override in parsed), _MULTIRUN]
+    """Compose the settings of a sweep, without overrides whose keys exist only in some jobs; None if this fails."""
+    texts = [str(override.input_line) for override in parsed]
     try:
-        multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
+        multirun = loader.load_configuration(PRIMARY, [*texts, _MULTIRUN], RunMode.MULTIRUN, from_shell=False)
     except ConfigError:
-        return None
-    return None if loader.problems else multirun  # The later check of each job reports the problems.
-
-
-def _compose_launcher(loader: Loader, own: Sequence[Override], parsed: Sequence[Override]) -> DictConfig:
-    """Compose Hydra's own settings of a sweep; leave out other overrides, whose keys may exist only in some jobs."""
-    texts = [*(str(override.input_line) for override in own), _MULTIRUN]
-    with hydra_globals():
-        multirun = loader.load_configuration(PRIMARY, texts, RunMode.MULTIRUN, from_shell=False)
+        return None  # The later check of each job reports why Hydra could not compose the config.
     multirun.hydra.overrides.task = [str(o.input_line) for o in parsed if not o.is_hydra_override()]
     return multirun
 
 
-def _mistakes_of(own: Sequence[Override], folders: Sequence[Path]) -> list[ConfigError]:
+def _mistakes_of(own: Sequence[Override], problems: Sequence[ConfigError]) -> Iterator[ConfigError]:
+    """Yield the mistakes in overrides of Hydra's settings; the check of each job reports the other mistakes."""
     message = "the basic launcher has no settings: it runs one job after the other"
     expected = "hydra/launcher=joblib in addition"
-    unused = [o for o in own if _chosen(own) == "basic" and o.key_or_group.startswith("hydra.launcher.")]
-    errors = [ConfigError(message, key=o.key_or_group, where=where_of(o), expected=expected) for o in unused]
-    try:
-        texts = [str(override.input_line) for override in own if override not in unused]
-        compose(texts, primary=PRIMARY, config_dirs=folders, launching=True)
-    except ConfigError as error:
-        errors += parts(error)
-    return errors
+    texts = [str(override.input_line) for override in own]
+    for problem in problems:
+        if _chosen(own) == "basic" and str(problem.key).startswith("hydra.launcher."):
+            yield ConfigError(message, key=problem.key, where=problem.where, expected=expected)
+        elif override_of(problem) in texts:
+            yield problem
 
 
 def _chosen(own: Sequence[Override]) -> str:
