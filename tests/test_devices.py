@@ -30,7 +30,7 @@ NOT_IN_A_STEP = frozenset(
     _require_order _judge _on_host rolling_signs _endings _finish_episodes in_world_convention opengl_quat""".split()  # noqa: SIM905
 )
 HOST = {
-    "state/tensor_trees.py": "the door out",
+    "state/values.py": "the door out",
     "managers/return_checks.py": "tells of an array in place of a tensor",
     "sim/engine.py": "reads the compiled model",
     "sim/robot_model.py": "edits the robot before it is compiled",

@@ -11,9 +11,9 @@ from torch.utils._pytree import tree_flatten
 
 from env.composed import composed
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.captured_values import Values
-from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture
+from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture, Values
 from wheelleg_exp.sim.batch_engine import BatchEngine
+from wheelleg_exp.state import register_undeclared
 
 # A CUDA graph cannot record these operations, because they copy numbers between host and GPU.
 WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
@@ -62,6 +62,7 @@ def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> Ma
 
 def make_part(work, term, *, values: Values | None = None, make_graph=Tape):
     """Return a captured part of a term, and a function that compares the settings and then runs the part."""
+    register_undeclared(term)
     values = values or Values(term)
     part = CapturedPart(work, values, make_graph)
 

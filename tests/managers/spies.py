@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import itertools
 import random
 from collections import deque
-from typing import Any, ClassVar
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
-from omegaconf import OmegaConf
 
 from wheelleg_exp.constraints import NonNegative
 from wheelleg_exp.managers import ActionTerm, CommandTerm, Env, RecorderTerm, SceneEntityCfg, TermBase
@@ -267,71 +264,12 @@ class RemembersGenerators(TermBase):
         return torch.rand(env.num_envs, generator=self._torch) + self._python.random() + float(self._numpy.random())
 
 
-class RemembersInAnIterator(TermBase):
-    def __init__(self, env: Env) -> None:
-        self._numbers = itertools.count()
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        return _each(env, next(self._numbers))
-
-
-class RemembersInAFile(TermBase):
-    def __init__(self, env: Env) -> None:
-        self._file = io.BytesIO(b"12345")
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        return _each(env, self._file.read(1) or 0)
-
-
-class RemembersLater(TermBase):
-    def __init__(self, env: Env) -> None:
-        self._helper: _Helper | None = None
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        self._helper = self._helper or _Helper()
-        return torch.full((env.num_envs,), self._helper.add(1.0))
-
-
-class RemembersInItsClass(TermBase):
-    calls: ClassVar[list[int]] = []
-
+class RemembersLate(TermBase):
     def __init__(self, env: Env) -> None:
         pass
 
     def __call__(self, env: Env) -> torch.Tensor:
-        self.calls.append(1)
-        return _each(env, len(self.calls))
-
-
-class RemembersOnANetwork(TermBase):
-    def __init__(self, env: Env) -> None:
-        self.network = torch.nn.Linear(1, 1)
-        self.network.calls = 0
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        self.network.calls += 1
-        return _each(env, self.network.calls)
-
-
-class RemembersInAConfig(TermBase):
-    def __init__(self, env: Env) -> None:
-        self.settings = OmegaConf.create({"calls": 0})
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        self.settings.calls += 1
-        return _each(env, self.settings.calls)
-
-
-class RemembersInASimulation(TermBase):
-    def __init__(self, env: Env) -> None:
-        self.model = mujoco.MjModel.from_xml_string(
-            "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
-        )
-        self.data = mujoco.MjData(self.model)
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        mujoco.mj_step(self.model, self.data)
-        return _each(env, self.data.qpos[2])
+        return _count_on(self, env)
 
 
 def remembers_on_the_environment(env: Any) -> torch.Tensor:
@@ -348,38 +286,12 @@ def _count_on(holder: Any, env: Env, name: str = "calls") -> torch.Tensor:
     return _each(env, getattr(holder, name))
 
 
-def remembers_on_itself(env: Env) -> torch.Tensor:
-    return _count_on(remembers_on_itself, env)
-
-
 def remembers_on_the_robot(env: Env) -> torch.Tensor:
     return _count_on(env.scene.robot, env, "own_calls")
 
 
-def remembers_on_the_engine(env: Any) -> torch.Tensor:
-    return _count_on(env.scene.sim, env, "own_calls")
-
-
-def remembers_in_a_default(env: Env, calls: list[int] = []) -> torch.Tensor:  # noqa: B006
-    calls.append(1)
-    return _each(env, len(calls))
-
-
-def remembers_on_a_default_entity(env: Env, asset_cfg: Any = SceneEntityCfg("robot")) -> torch.Tensor:  # noqa: B008
-    return _count_on(asset_cfg, env)
-
-
 def remembers_on_its_term(env: Any) -> torch.Tensor:
     return _count_on(env.reward_manager.get_term_cfg("own"), env)
-
-
-class RemembersOnATensor(TermBase):
-    def __init__(self, env: Env) -> None:
-        self.buffer: Any = torch.zeros(env.num_envs)
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        self.buffer.calls = getattr(self.buffer, "calls", 0) + 1
-        return self.buffer + self.buffer.calls
 
 
 def expands_the_batch(env: Any) -> torch.Tensor:
@@ -387,25 +299,13 @@ def expands_the_batch(env: Any) -> torch.Tensor:
     return torch.zeros(env.num_envs)
 
 
-def remembers_in_the_config(env: Any) -> torch.Tensor:
-    env.cfg["rewards"]["own"]["weight"] += 1.0
-    return _each(env, env.cfg["rewards"]["own"]["weight"])
-
-
-class RemembersTheLastAction(TermBase):
-    def __init__(self, env: Env) -> None:
-        self.last = torch.zeros(0)
-
-    def __call__(self, env: Env) -> torch.Tensor:
-        self.last = env.action_manager.action
-        return self.last.sum(dim=1)
-
-
 class Delayed(ImplicitActuator):
+    def connect(self, num_envs: int, dt: float, stream: Any) -> None:
+        super().connect(num_envs, dt, stream)
+        self._waiting: deque[torch.Tensor] = self.number("_waiting", deque(maxlen=2))
+        self.heat = self.buffer("heat", torch.zeros(1))
+
     def control(self, targets: Any, data: Any) -> torch.Tensor:
-        if not hasattr(self, "_waiting"):
-            self._waiting: deque[torch.Tensor] = deque(maxlen=2)
-            self.heat = torch.zeros(1)
         self._waiting.append(super().control(targets, data).clone())
         self.heat += self._waiting[-1].abs().mean()
         return self._waiting[0] * torch.exp(-self.heat / 100.0)

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import torch
 
 from wheelleg_exp import managers
-from wheelleg_exp.env.env_attributes import EnvAttributes
-from wheelleg_exp.env.graph_capture import GraphCapture, captured_part, host_part
+from wheelleg_exp.env.graph_capture import GraphCapture, captured_part
 from wheelleg_exp.env.isaaclab_attributes import Cfg, IsaacLabAttributes
 from wheelleg_exp.env.realism import with_realism, without_errors
 from wheelleg_exp.machine import require_memory
@@ -24,11 +23,25 @@ from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.sim.scene import RobotState
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
-from wheelleg_exp.state import cloned, on_device
+from wheelleg_exp.state import Settings, cloned, on_device, register_undeclared, tree
+from wheelleg_exp.state.values import PLAIN
 from wheelleg_exp.terms.config_sections import plain_section
 
 # One environment needs at least 10,000 bytes of memory for its physics and observations.
 _BYTES_PER_ENV = 10_000
+_MANAGERS = ("event", "command", "recorder", "action", "observation", "termination", "reward", "curriculum")
+# The environment or its caller sets these attributes. A curriculum or a user-defined term can set all others.
+_OWN = (
+    "seed",
+    "common_step_counter",
+    "extras",
+    "keep_final_obs",
+    "autoreset",
+    "observers",
+    "cfg",
+    "options",
+    "graph_capture",
+)
 
 Observations = dict[str, Group]
 AutoresetMode = Literal["same_step", "next_step", "disabled"]
@@ -39,8 +52,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     """N parallel environments with nine managers, in the style of Isaac Lab's ``ManagerBasedRLEnv``.
 
     ``cfg`` is the config section ``env``, as options or as a mapping, ``mjcf`` is the robot's MJCF file, and ``seed``
-    seeds all random streams. The decorators ``captured_part`` and ``host_part`` have an effect only on a GPU with
-    ``env.sim.graph_step``; see ``graph_capture``.
+    seeds all random streams. The decorator ``captured_part`` has an effect only on a GPU with ``env.sim.graph_step``;
+    see ``graph_capture``.
 
     Attributes:
         device: device of all tensors.
@@ -50,11 +63,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         observers: functions that each control step calls after computing rewards and before resetting environments.
         reset_order: the managers in the order in which a reset of environments resets the managers.
     """
-
-    outside_graphs = (
-        *("cfg", "options", "extras", "observers", "curriculum_manager", "recorder_manager", "common_step_counter"),
-        *("graph_capture", "reset_order", "_ended", "_attributes"),
-    )
 
     def __init__(self, cfg: EnvOptions | Mapping[str, object], mjcf: Path, seed: int) -> None:
         self.options = options = with_realism(read_env(cfg))
@@ -68,11 +76,13 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         require_device(self.device)
         self.physics_dt = float(options.sim.dt)
         self.step_dt = self.physics_dt * self.decimation
-        self.max_episode_length_s = float(options.episode_length_s)
+        self.max_episode_length_s = self.number("max_episode_length_s", float(options.episode_length_s), saved=False)
         # Round before ``ceil``, because an episode of 5 s with control steps of 2/120 s must have 300 steps, not 301.
-        self.max_episode_length = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
+        steps = math.ceil(round(self.max_episode_length_s / self.step_dt, 9))
+        self.max_episode_length = self.number("max_episode_length", steps, saved=False)
         self.common_step_counter = 0
-        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        lengths = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        self.episode_length_buf = self.buffer("episode_length_buf", lengths)
         self.streams = Streams(seed, self.device)
         self.extras: dict[str, Any] = {}
         self.keep_final_obs = False
@@ -95,7 +105,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.event_manager.apply(
             "startup", with_errors=torch.arange(self.exact_envs, self.num_envs, device=self.device)
         )
-        self.reward_buf = torch.zeros(self.num_envs, device=self.device)
+        self.reward_buf = self.buffer("reward_buf", torch.zeros(self.num_envs, device=self.device))
         self.reset_order = [
             *(self.observation_manager, self.action_manager, self.reward_manager, self.curriculum_manager),
             *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
@@ -105,8 +115,15 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # With recorder terms, capture no CUDA graph, because recorder terms wait for the GPU in every step.
         captures = self.scene.sim.is_captured and not self.recorder_manager.active_terms
         self.graph_capture = GraphCapture(self) if captures else None
+        for name in ("scene", *(f"{kind}_manager" for kind in _MANAGERS)):
+            self.child(name, getattr(self, name), saved=False)
+        owned = frozenset([id(self.streams), *(id(part) for _, part in tree(self))])
+        for _, part in list(tree(self)):
+            register_undeclared(part, owned)
+        self.scene.require_compiled_model()
         # Keep this line last: checkpoints store every attribute that the environment gets after this line.
-        self._attributes = EnvAttributes(self, self.managers, self.cfg)
+        own = [*_OWN, "_attributes", *(name for name, value in vars(self).items() if type(value) not in PLAIN)]
+        self._attributes = Settings({"attributes": vars(self)}, "env", skip=own)
 
     @property
     def managers(self) -> dict[str, Any]:
@@ -136,6 +153,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ``extras["non_finite"]`` names the reward terms or the physics that produced NaN or inf. Raise SimulationFailure
         if an observation or a number that an event wrote is NaN or inf.
         """
+        self._settings_may_have_changed()
         skipped = self._skipped()
         self._act(action)
         for substep in range(self.decimation):
@@ -148,14 +166,17 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.reward_manager.start_step()
         reward_failed = self._compute_reward(skipped)
         ended = self._end_episodes(reward_failed)
-        self._call_observers()
+        for observe in self.observers:
+            observe()
+            self._settings_may_have_changed()
         self.recorder_manager.record_post_step()
 
         if self.autoreset != "same_step":
             ended = ids_where(torch.zeros_like(done) if skipped is None else skipped)
         self._reset_ended(ended)
-        self._advance_commands()
-        self._apply_interval_events()
+        self._advance_commands(self.command_manager.may_draw(self.step_dt))
+        if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:
+            self._settings_may_have_changed()
         self.scene.show_written()
         observations = self._observe()
         if self.autoreset == "same_step":
@@ -164,7 +185,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
 
-    @host_part
+    def _settings_may_have_changed(self) -> None:
+        """Compare all settings before the next replay of a CUDA graph, because user-defined code has run."""
+        if self.graph_capture is not None:
+            self.graph_capture.values.is_checked = False
+
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
     ) -> tuple[Observations, dict[str, Any]]:
@@ -176,7 +201,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         """
         return self._restart(seed, env_ids, None, False)
 
-    @host_part
     def reset_to(
         self,
         state: RobotState,
@@ -193,6 +217,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _restart(
         self, seed: int | None, env_ids: torch.Tensor | None, state: RobotState | None, is_relative: bool
     ) -> tuple[Observations, dict[str, Any]]:
+        self._settings_may_have_changed()
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
         if seed is not None:
@@ -273,12 +298,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.extras.setdefault("non_finite", found)["keys"].update(found["keys"])
             self.termination_manager.force(env_ids)
 
-    @host_part
-    def _call_observers(self) -> bool:
-        for observe in self.observers:
-            observe()
-        return bool(self.observers)
-
     def _reset_ended(self, ended: torch.Tensor) -> None:
         """Reset the environments ``ended`` (n,), and those whose NaN reward ``_end_episodes`` did not know yet."""
         self.extras["log_is_fresh"] = False
@@ -300,16 +319,13 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     def _reset_idx(self, env_ids: torch.Tensor) -> None:
         # Run the curriculum first, because the curriculum needs the terminal state, which reset events overwrite.
-        self._run_curriculum(env_ids)
+        self.curriculum_manager.compute(env_ids)
+        if self.curriculum_manager.active_terms:
+            self._settings_may_have_changed()
         self.command_manager.read_settings()
         # Select the robots with errors outside of the CUDA graph, because their number varies.
         self.extras["log"] = self._reset_rows(env_ids, env_ids[env_ids >= self.exact_envs] if self.exact_envs else None)
         self.extras["log_is_fresh"] = True
-
-    @host_part
-    def _run_curriculum(self, env_ids: torch.Tensor) -> bool:
-        self.curriculum_manager.compute(env_ids)
-        return bool(self.curriculum_manager.active_terms)
 
     @captured_part()
     def _reset_rows(self, env_ids: torch.Tensor, with_errors: torch.Tensor | None) -> dict[str, Any]:
@@ -325,26 +341,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.episode_length_buf.index_fill_(0, env_ids, 0)
         return log
 
-    def _advance_commands(self) -> None:
+    @captured_part(in_python=lambda draws: draws)
+    def _advance_commands(self, draws: bool) -> None:
         """Advance the commands and the timers of interval events; draw new commands where their timer expired."""
-        if self.command_manager.may_draw(self.step_dt):
-            self._advance_and_draw()
-        else:
-            self._advance_without_draws()
-
-    @host_part
-    def _advance_and_draw(self) -> None:
-        self.command_manager.compute(self.step_dt, may_draw=True)
+        self.command_manager.compute(self.step_dt, draws)
         self.event_manager.advance_timers(self.step_dt)
-
-    @captured_part()
-    def _advance_without_draws(self) -> None:
-        self.command_manager.compute(self.step_dt, may_draw=False)
-        self.event_manager.advance_timers(self.step_dt)
-
-    @host_part
-    def _apply_interval_events(self) -> bool:
-        return self.event_manager.apply_due(self.step_dt) or self._sensors_refresh
 
     @captured_part(to_caller=True)
     def _observe(self) -> Observations:
@@ -353,7 +354,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             note_observations(self)
         return observations
 
-    @host_part
     def apply_event(self, mode: str, env_ids: torch.Tensor | None = None) -> None:
         """Run the events of a user-defined mode, and update all quantities that are derived from the robot's state."""
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
@@ -361,7 +361,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the environment's complete state; raise ConfigError if a term holds state that cannot be saved."""
-        attributes = self._attributes.save()
+        self.scene.require_compiled_model()
+        attributes = self._attributes.state_dict()
         managers = {name: manager.state_dict() for name, manager in self.managers.items() if name != "scene"}
         return {
             "seed": self.seed,
@@ -375,9 +376,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             **({"attributes": attributes} if attributes else {}),
         }
 
-    @host_part
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore a state that ``state_dict`` returned, in an environment that was built from the same config."""
+        self._settings_may_have_changed()
         saved = {name: part if name == "streams" else on_device(part, self.device) for name, part in saved.items()}
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]
@@ -388,7 +389,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         for name, state in saved["managers"].items():
             self.managers[name].load_state_dict(state)
         self.streams.load_state_dict(saved["streams"])
-        self._attributes.restore(saved.get("attributes", {}))
+        self._attributes.load_state_dict(saved.get("attributes", {}))
         self.recorder_manager.forget()
         forget()
 

@@ -1,94 +1,81 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
 The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without CUDA
-graphs, a method decorated with ``captured_part`` runs as Python code. ``GraphCapture`` runs a decorated method a few
-times, records the method as a CUDA graph, and then replays this graph.
+graphs, such a method runs as Python code. ``GraphCapture`` runs it twice as Python code, records it as a CUDA graph,
+and then replays this graph.
 
-A CUDA graph repeats kernels on fixed memory and does not run Python. A replay skips Python assignments, so
-``GraphCapture`` must know all attributes that the recorded method reads and writes. The contract for the objects that a
-captured method uses (terms, managers, robot, sensors) is:
+A CUDA graph repeats kernels on fixed memory and does not run Python, so ``GraphCapture`` must know what a recorded
+method reads and writes: what the environment's parts have declared (see ``wheelleg_exp.state.Stateful``).
 
-- **Buffers** are attributes that hold a tensor, also in dictionaries and lists. A captured method may change an
-  attribute's tensor in place, or replace it by a new tensor of the same shape.
-- **Settings** are attributes that hold a number, a text, None, or a tuple. If a number in an attribute changes,
-  ``GraphCapture`` does not replay a graph that was recorded with the old number. ``GraphCapture`` records one CUDA
-  graph for each frequent combination of the attributes' numbers and texts.
-- A captured method may also change a number or text, if the new value depends only on the old numbers and texts.
-- All other values that a captured method changes are undeclared: a number that counts up, a growing list, a deque, a
-  tuple of tensors, a module, or a foreign object. A method that changes a counter or a list, or that waits for the GPU,
-  runs without a CUDA graph. A warning names the reason.
-
-Each method runs twice as Python code before the method is recorded as a CUDA graph. ``GraphCapture`` finds the
-attributes that a method changes by comparing them before and after the second run.
+- A captured method may change a declared **buffer** in place, or assign a new tensor of the same shape. The graph
+  copies the new tensor into the old one.
+- Declared **numbers** and the **settings** of terms are the key of a recording. ``GraphCapture`` records one CUDA graph
+  for each frequent combination of their values. A captured method may also change a number, if its new value depends
+  only on the old numbers: then each replay assigns the recorded value.
+- A method that counts, that changes anything undeclared, or that waits for the GPU, runs without a CUDA graph. A
+  warning names the reason.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
+import operator
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar, cast
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from numbers import Number
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
 
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
-from wheelleg_exp.env import captured_values
-from wheelleg_exp.env.captured_values import Key, Values, form_of, is_changed
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.state import cloned
-from wheelleg_exp.state.object_graph import Slot, is_plain
+from wheelleg_exp.managers.manager_base import Term
+from wheelleg_exp.state import Stateful, cloned, tree
+from wheelleg_exp.state.stateful import declarations
+from wheelleg_exp.state.undeclared import UndeclaredChanges
+from wheelleg_exp.state.values import PLAIN, Unsaveable, encoded, same
+
+if TYPE_CHECKING:
+    from wheelleg_exp.env.env import ManagerBasedRLEnv
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
 # Record at most 8 CUDA graphs per method, and 128 for the reset: one per number of reset environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# Count how often each combination of attribute values occurred among a method's last 1024 calls.
+# Count how often each combination of values occurred among a method's last 1024 calls.
 _WINDOW = 1024
 # Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
 _MOST_MISMATCHES = 64
+_MOST_KNOWN = 64  # numbered combinations of settings
 
+Key = tuple[Any, ...]
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-def captured_part(*, to_caller: bool = False) -> Callable[[Method], Method]:
+def captured_part(
+    *, to_caller: bool = False, in_python: Callable[..., bool] | None = None
+) -> Callable[[Method], Method]:
     """Mark a method of the environment's step that may be captured as a CUDA graph.
 
     If ``to_caller`` is true, the environment returns the result to its caller, so ``GraphCapture`` copies the result
-    out of the CUDA graph's memory. The caller may change attributes of the environment, so ``GraphCapture`` checks for
-    changes before the next replay.
+    out of the CUDA graph's memory. If ``in_python`` returns True for the arguments, the method runs as Python code.
     """
 
     def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def run(env: Any, *args: Any) -> Any:
-            if env.graph_capture is None:
+        def run(env: ManagerBasedRLEnv, *args: Any) -> Any:
+            if env.graph_capture is None or (in_python is not None and in_python(*args)):
                 return method(env, *args)
             return env.graph_capture.run(method, args, to_caller=to_caller)
 
         return cast(Method, run)
 
     return decorate
-
-
-def host_part(method: Method) -> Method:
-    """Mark a method that always runs as Python code and may change any attribute, for example by calling user code.
-
-    If a method marked by ``host_part`` returns False, ``GraphCapture`` assumes that it has changed no attribute.
-    """
-
-    @functools.wraps(method)
-    def run(env: Any, *args: Any, **kwargs: Any) -> Any:
-        if env.graph_capture is None:
-            return method(env, *args, **kwargs)
-        values = env.graph_capture.values
-        was_checked, values.is_checked = values.is_checked, False
-        found = method(env, *args, **kwargs)
-        values.is_checked = was_checked and found is False
-        return found
-
-    return cast(Method, run)
 
 
 class Graph(Protocol):
@@ -140,10 +127,231 @@ class CudaGraph:
         self._graph.replay()
 
 
+class Slot(NamedTuple):
+    """A place of a declared value: an attribute of ``owner``, or an entry of a dictionary or list in this attribute."""
+
+    owner: Any
+    holder: Any
+    key: Any
+    name: str
+    is_buffer: bool
+
+    @property
+    def id(self) -> tuple[int, Any]:
+        """The identity of the place."""
+        return id(self.holder), self.key
+
+    @property
+    def value(self) -> Any:
+        """The present value; the entry of a dictionary or list may be missing, which gives None."""
+        try:
+            return self.holder[self.key]
+        except LookupError:
+            return None
+
+    def __str__(self) -> str:
+        return f"'{self.name}' of {getattr(self.owner, 'path', type(self.owner).__name__)}"
+
+
+def slots(owner: object) -> Iterator[Slot]:
+    """Yield the declared attributes of an object, and the entries of dictionaries and lists in them."""
+    for name, declared in declarations(owner).items():
+        if declared.kind != "part":
+            yield from _slots_in(owner, vars(owner), name, name, declared.kind == "buffer")
+
+
+def _slots_in(owner: object, holder: Any, key: Any, name: str, is_buffer: bool) -> Iterator[Slot]:
+    yield Slot(owner, holder, key, name, is_buffer)
+    if isinstance(value := holder[key], (dict, list)):
+        for inner in list(value) if isinstance(value, dict) else range(len(value)):
+            yield from _slots_in(owner, value, inner, f"{name}.{inner}", is_buffer)
+
+
+class Values:
+    """The declared values of an environment and its parts.
+
+    A number that a captured method changes (a *flag*) is read before each replay of a CUDA graph. All other numbers and
+    settings can change only in Python code, and are read only after such code.
+
+    Attributes:
+        is_checked: whether no code that may change settings has run since the settings were last compared.
+        generation: how often the method ``add_flags`` has found a new flag.
+        rebound: the ids of slots to which a captured method assigns another tensor.
+    """
+
+    def __init__(self, root: object) -> None:
+        self.root = root
+        self.is_checked = False
+        self.generation = 0
+        self.rebound = set[tuple[int, Any]]()
+        self._statics: dict[tuple[int, Any], torch.Tensor] = {}
+        self._flags: dict[tuple[int, Any], Slot] = {}
+        self._settings: list[Slot] = []
+        self._places: list[tuple[Any, Any]] = []
+        self._present: list[Any] = []
+        self._sizes: list[tuple[Any, int]] = []
+        self._known: dict[Key, int] = {}
+        self._number, self._numbers = -1, itertools.count()
+
+    def slots(self) -> list[Slot]:
+        """Return the slots of the environment and its parts, except event terms whose mode is not ``reset``."""
+        parts = {id(part): part for _, part in tree(self.root) if not _runs_outside(part)}
+        return [slot for part in parts.values() for slot in slots(part)]
+
+    def key(self) -> Key:
+        """Return the key of a CUDA graph: a number for the values of all settings, and the values of all flags."""
+        if not self.is_checked:
+            self._check()
+            self.is_checked = True
+        return self._number, tuple([kind_of(slot.value) for slot in self._flags.values()])
+
+    def add_flags(self, found: Sequence[Slot]) -> None:
+        """Include the slots ``found`` in the keys of CUDA graphs."""
+        new = {slot.id: slot for slot in found if slot.id not in self._flags}
+        if new:
+            self._flags |= new
+            self.generation += 1
+            self.is_checked, self._settings = False, []
+
+    def difference(self, before: Key, now: Key) -> str:
+        """Return the name of a slot that has different values in the CUDA graph keys ``before`` and ``now``."""
+        known = {number: settings for settings, number in self._known.items()}
+        pairs = [*zip(self._settings, known.get(before[0], ()), known.get(now[0], ()), strict=False)]
+        pairs += zip(self._flags.values(), before[1], now[1], strict=False)
+        return next((str(slot) for slot, was, value in pairs if was != value), "the set of values")
+
+    def _check(self) -> None:
+        """Set ``_number``, which identifies the combination of the settings' values.
+
+        Most calls find no change and must be fast, so ``_check`` first compares the identities of the values.
+        """
+        before = self._present
+        if not self._settings or any([len(one) != size for one, size in self._sizes]):
+            self._find_settings()
+        try:
+            now = [holder[key] for holder, key in self._places]
+        except LookupError:
+            self._find_settings()
+            now = self._present
+        if self._present is before and all(map(operator.is_, now, before)):
+            return
+        changed = (was for was, value in zip(self._present, now, strict=True) if was is not value)
+        if any(isinstance(was, (dict, list)) for was in changed):
+            self._find_settings()  # Code has replaced a dictionary or list.
+            now = self._present
+        self._present = now
+        settings = tuple([kind_of(value) for value in now])
+        # Re-insert the used entry at the end of ``_known``, so that the first entry is the least recently used one.
+        self._number = self._known.pop(settings, next(self._numbers))
+        self._known[settings] = self._number
+        if len(self._known) > _MOST_KNOWN:
+            del self._known[next(iter(self._known))]
+
+    def _find_settings(self) -> None:
+        found = [slot for slot in self.slots() if slot.id not in self._flags]
+        found = [slot for slot in found if not (slot.is_buffer and isinstance(slot.value, (dict, list)))]
+        self._settings = [slot for slot in found if not isinstance(slot.value, torch.Tensor)]
+        self._places = [(slot.holder, slot.key) for slot in self._settings]
+        self._present = [slot.value for slot in self._settings]
+        self._sizes = [(value, len(value)) for value in self._present if isinstance(value, (dict, list))]
+
+    def move_rebound(self, found: Sequence[Slot]) -> None:
+        """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
+        # Tensors made in inference mode cannot be written in place outside of inference mode.
+        with torch.inference_mode(False), torch.no_grad():
+            for slot in (slot for slot in found if slot.id in self.rebound):
+                value, static = slot.value, self._statics.get(slot.id)
+                if isinstance(value, torch.Tensor) and static is not value:
+                    if static is not None and form_of(static) == form_of(value):
+                        static.copy_(value.clone())
+                    else:
+                        static = self._statics[slot.id] = value.detach().clone()
+                    slot.holder[slot.key] = static
+
+
+class TouchedMemory(TorchDispatchMode):
+    """Records the memory addresses of all tensors that torch operations read or write."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._memory = set[int]()
+
+    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        del types
+        result = operation(*args, **(kwargs or {}))
+        self.note((args, kwargs, result))
+        return result
+
+    def note(self, tree: object) -> None:
+        """Record the memory addresses of all tensors in a nested structure."""
+        leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
+        # Record the address of each tensor's storage, because all views of a tensor share its storage.
+        self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
+
+    def has(self, tensor: torch.Tensor) -> bool:
+        """Return whether a torch operation has read or written the memory of a tensor."""
+        return tensor.untyped_storage().data_ptr() in self._memory
+
+
+def _runs_outside(part: object) -> bool:
+    """Return whether a part is an event term that runs outside of resets; no CUDA graph runs such terms."""
+    return isinstance(part, Term) and part.fields.get("mode", "reset") != "reset"
+
+
+def form_of(value: object) -> Any:
+    """Return the shape, dtype, and device of a tensor; return a value of another type unchanged."""
+    return (value.shape, value.dtype, value.device) if isinstance(value, torch.Tensor) else value
+
+
+def kind_of(value: object) -> Any:
+    """Return what a CUDA graph depends on in a value: its type, and a plain value or the form of a tensor."""
+    if is_plain(value) or isinstance(value, torch.Tensor):
+        return type(value), form_of(value)
+    return _Identity(value) if isinstance(value, tuple) else type(value)
+
+
+@dataclass(eq=False)
+class _Identity:
+    """A key that compares objects by identity, and keeps its object alive, so that the id stays unique."""
+
+    value: object
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Identity) and self.value is other.value
+
+    def __hash__(self) -> int:
+        return id(self.value)
+
+
+def is_plain(value: object) -> bool:
+    """Return whether a value is a number, a text, None, or a tuple of these."""
+    return type(value) in PLAIN or isinstance(value, Number) or (type(value) is tuple and all(map(is_plain, value)))
+
+
+def _frame(value: object) -> object:
+    """Return what must not change in a declared value: the sizes of containers, and values that have no slot."""
+    if isinstance(value, (dict, list)):
+        return [len(value), *map(_frame, value.values() if isinstance(value, dict) else value)]
+    try:
+        return None if isinstance(value, (torch.Tensor, Stateful)) or is_plain(value) else encoded(value)
+    except Unsaveable:
+        return id(value)
+
+
+def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
+    """Copy the second tensor of each pair into the first; tensors of different pairs may share memory."""
+    targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
+    copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
+    for static, value in copies:
+        static.copy_(value)
+
+
 class GraphCapture:
     """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
 
-    def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
+    def __init__(
+        self, env: ManagerBasedRLEnv, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph
+    ) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
         # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
@@ -163,10 +371,10 @@ class GraphCapture:
         env = self._env
         name = method.__name__
         if name not in self.parts:
-            work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
             resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
-            options: dict[str, Any] = {"reset_caches": caches, "streams": streams, "is_reset": resets}
-            self.parts[name] = CapturedPart(work, self.values, self._make_graph, **options)
+            work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
+            part = CapturedPart(work, self.values, self._make_graph, caches, streams, is_reset=resets)
+            self.parts[name] = part
         part = self.parts[name]
         found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
@@ -174,78 +382,62 @@ class GraphCapture:
             for manager in self._reset_later:
                 found.update(manager.reset(args[0]))
                 self.values.is_checked &= not manager.active_terms
-        elif to_caller:
-            found = cloned(found)
-            self.values.is_checked = False
-        return found
+        return cloned(found) if to_caller else found
 
 
 @dataclass
 class Recording:
-    """A recorded CUDA graph of a method, and the attributes that each replay reads and assigns.
+    """A recorded CUDA graph of a method, and the declared values that each replay reads and assigns.
 
     Attributes:
-        buffers: the tensor attributes that the method reads or writes, and the CUDA graph's tensor for each attribute.
-        shared: ids of tensors whose memory several attributes use; values of other tensors cannot be copied there.
-        assigned: the attributes to which the method assigns a value, and the assigned value of each attribute.
-        filled: the dictionaries that the method fills, and the entries of each dictionary.
+        buffers: the slots of the tensors that the method reads or writes, and the CUDA graph's tensor for each slot.
+        containers: the dictionaries and lists that hold these slots, and the slots of the containers themselves.
+        assigned: the slots to which the method assigns a value, and the assigned values.
+        filled: the dictionaries that the method fills, and their entries.
         output: the result of the method, in the memory of the CUDA graph.
     """
 
     graph: Graph
     inputs: list[Any]
     buffers: list[tuple[Slot, torch.Tensor]]
+    containers: list[tuple[Slot, Any]]
     assigned: list[tuple[Slot, Any]]
-    filled: list[tuple[Slot, dict[Any, Any]]]
+    filled: list[tuple[dict[Any, Any], dict[Any, Any]]]
     output: Any
-    shared: set[int] = field(init=False)
-    _places: list[tuple[Any, Any, torch.Tensor]] = field(init=False)
-    _containers: list[tuple[Any, Any, Any]] = field(init=False)
 
     def __post_init__(self) -> None:
+        self._places = [(slot.holder, slot.key, static) for slot, static in self.buffers]
         counts = Counter(static.untyped_storage().data_ptr() for _, static in self.buffers)
-        self.shared = {id(s) for _, s in self.buffers if counts[s.untyped_storage().data_ptr()] > 1}
-        self._find_places()
-
-    def _find_places(self) -> None:
-        self._places = [(slot.container, slot.path[-1], static) for slot, static in self.buffers]
-        found = {(id(parent), key): (parent, key, c) for slot, _ in self.buffers for parent, key, c in slot.containers}
-        self._containers = list(found.values())
+        # Other values cannot be copied into a tensor whose memory several slots use.
+        self._shared = {id(s) for _, s in self.buffers if counts[s.untyped_storage().data_ptr()] > 1}
 
     def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy attributes and arguments to the CUDA graph's tensors; return the attributes whose values do not fit."""
+        """Copy buffers and arguments to the CUDA graph's tensors; return the slots whose values do not fit."""
+        if replaced := [slot for slot, container in self.containers if slot.value is not container]:
+            return replaced
         try:
-            if not all([parent[key] is container for parent, key, container in self._containers]):
-                self._find_places()
             moved = [(place, now) for place in self._places if (now := place[0][place[1]]) is not place[2]]
-        except (LookupError, TypeError):
-            return [slot for slot, _ in self.buffers if not isinstance(slot.get(), torch.Tensor)]
-        if moved:
-            wrong = {
-                id(static)
-                for (_, _, static), now in moved
-                if not captured_values.fits(now, static) or id(static) in self.shared
-            }
-            if wrong:
-                return [slot for slot, static in self.buffers if id(static) in wrong]
-            captured_values.copy_tensors([(static, now) for (_, _, static), now in moved])
-            for (container, key, static), _ in moved:
-                container[key] = static
+        except LookupError:
+            return [slot for slot, _ in self.buffers if slot.value is None]
+        wrong = {id(s) for (_, _, s), now in moved if id(s) in self._shared or form_of(now) != form_of(s)}
+        if wrong:
+            return [slot for slot, static in self.buffers if id(static) in wrong]
+        copy_tensors([(static, now) for (_, _, static), now in moved])
+        for (holder, key, static), _ in moved:
+            holder[key] = static
         for static, now in zip(self.inputs, args, strict=True):
             if isinstance(static, torch.Tensor):
                 static.copy_(now)
         return []
 
     def replay(self) -> Any:
-        """Replay the CUDA graph, and repeat the method's assignments to attributes, which are not part of the graph."""
+        """Replay the CUDA graph, and repeat the method's assignments, which are not part of the graph."""
         self.graph.replay()
-        for slot, content in self.filled:
-            whole = slot.get()
-            if isinstance(whole, dict):
-                whole.clear()
-                whole.update(content)
+        for dictionary, content in self.filled:
+            dictionary.clear()
+            dictionary.update(content)
         for slot, value in self.assigned:
-            slot.set(value)
+            slot.holder[slot.key] = value
         return self.output
 
 
@@ -264,9 +456,9 @@ class CapturedPart:
         work: Callable[..., Any],
         values: Values,
         make_graph: Callable[[Sequence[torch.Generator]], Graph],
-        *,
         reset_caches: Callable[[], None] = lambda: None,
         streams: Callable[[], Sequence[torch.Generator]] = list,
+        *,
         is_reset: bool = False,
     ) -> None:
         self._work, self._values, self._make_graph = work, values, make_graph
@@ -361,36 +553,39 @@ class CapturedPart:
             self._last = key
 
     def _give_up(self, reason: str) -> None:
-        self.fails = True
-        self.recordings.clear()
-        self._warn(reason)
+        if not self.fails:
+            self.fails = True
+            self.recordings.clear()
+            self._warn(reason)
 
     def _warn(self, reason: str) -> None:
         name = getattr(getattr(self._work, "func", self._work), "__name__", "part").strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
-        """Run the captured method without a CUDA graph, and find the attributes that the method changes."""
+        """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         values = self._values
-        before = [(slot, slot.get()) for slot in values.slots()]
-        undeclared = dict(values.undeclared())
+        before = [(slot, slot.value, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
+        undeclared = UndeclaredChanges(values.root, with_root=True)
         states = [(stream, stream.get_state()) for stream in self._streams()]
         found = self._run(args)
         moved = [stream for stream, was in states if not torch.equal(stream.get_state(), was)]
         self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
         flags = []
-        for slot, was in before:
-            now = slot.get()
+        for slot, was, frame in before:
+            now = slot.value
             if isinstance(was, torch.Tensor) and isinstance(now, torch.Tensor):
                 if now is not was and form_of(now) == form_of(was):
                     values.rebound.add(slot.id)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
-                self._give_up(f"{slot} counts; use a tensor that is changed in place")
-            elif is_changed(was, now):
+                self._give_up(f"{slot} counts; use a buffer that is changed in place")
+            elif not slot.is_buffer and not same(_frame(now), frame):
+                self._give_up(f"{slot} changes, and is neither a tensor nor a number")
+            elif kind_of(was) != kind_of(now):
                 flags.append(slot)
         values.add_flags(flags)
-        if changed := next(values.undeclared_changes(undeclared), None):
-            self._give_up(f"{changed} changes, and is neither a tensor nor a number")
+        for owner, name in undeclared.changed():
+            self._give_up(f"'{name}' of {type(owner).__name__} changes, and is not declared")
         self._checked.add(state)
         return found
 
@@ -409,15 +604,14 @@ class CapturedPart:
 
     def _record(self, args: tuple[Any, ...], graph: Graph) -> Recording:
         values = self._values
-        found = list(values.slots())
+        found = values.slots()
         values.move_rebound(found)
-        before = [(slot, slot.get()) for slot in found]
+        before = [(slot, slot.value) for slot in found]
         tensors = [(slot, value) for slot, value in before if isinstance(value, torch.Tensor)]
-        others = [(slot, value) for slot, value in before if is_plain(value) or isinstance(value, tuple)]
-        dictionaries = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
+        contents = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
         with torch.inference_mode(False):
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
-        touched, outputs = captured_values.TouchedMemory(), list[Any]()
+        touched, outputs = TouchedMemory(), list[Any]()
 
         def work() -> None:
             with touched:
@@ -428,22 +622,46 @@ class CapturedPart:
                         raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
                 outputs.append(result)
-                captured_values.write_back(tensors)
+                _write_back(tensors)
 
         try:
             graph.record(work)
         except Exception:
-            # Restore the attributes, because a failed capture has assigned tensors whose values no kernel has computed.
-            for slot, content in dictionaries:
-                slot.set(content)
-            for slot, value in (*tensors, *others):
-                slot.set(value)
+            # Restore all values, because a failed capture has assigned tensors whose values no kernel has computed.
+            for slot, content in contents:
+                slot.value.clear()
+                slot.value.update(content)
+            for slot, value in before:
+                slot.holder[slot.key] = value
             raise
-        assigned = [(slot, slot.get()) for slot, value in (*tensors, *others) if slot.get() is not value]
-        values.add_flags([slot for slot, value in (*tensors, *others) if is_changed(value, slot.get())])
-        filled = [
-            (slot, dict(slot.get())) for slot, was in dictionaries if captured_values.has_other_entries(slot.get(), was)
-        ]
-        touched.note((outputs, inputs, [v for _, v in assigned], [c for _, c in filled]))
+        assigned = [(slot, slot.value) for slot, value in before if slot.value is not value]
+        values.add_flags([slot for slot, value in before if kind_of(value) != kind_of(slot.value)])
+        filled = [(now, dict(now)) for slot, was in contents if _has_other_entries(now := slot.value, was)]
+        touched.note((outputs, inputs, [value for _, value in assigned], [content for _, content in filled]))
         buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
-        return Recording(graph, inputs, buffers, assigned, filled, captured_values.frozen(outputs[0]))
+        holders = {id(slot.holder) for slot, _ in buffers}
+        containers = [(slot, value) for slot, value in before if id(value) in holders]
+        return Recording(graph, inputs, buffers, containers, assigned, filled, _frozen(outputs[0]))
+
+
+def _write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
+    """Copy newly assigned tensors into the old tensors of their slots, and assign the old tensors again.
+
+    Each replay of a CUDA graph reads and writes the same memory, so slots must keep their tensors.
+    """
+    present = [(slot, old, slot.value) for slot, old in tensors]
+    moved = [(slot, old, now) for slot, old, now in present if now is not old and form_of(now) == form_of(old)]
+    copy_tensors([(old, now) for _, old, now in moved])
+    for slot, old, _ in moved:
+        slot.holder[slot.key] = old
+
+
+def _has_other_entries(now: object, was: Mapping[Any, Any]) -> bool:
+    return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
+
+
+def _frozen(tree: Any) -> Any:
+    """Copy the containers of a nested structure, but not its tensors: recorded work may change the originals."""
+    if isinstance(tree, dict):
+        return {key: _frozen(value) for key, value in tree.items()}
+    return type(tree)(_frozen(value) for value in tree) if isinstance(tree, (list, tuple)) else tree

@@ -9,7 +9,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.class_members import declare_unsupported
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Cfg(Mapping[str, Any]):
         "stage": "there is no USD stage; env.scene.spec is the model's",
     }
 )
-class Simulation(Kept):
+class Simulation:
     """The object ``env.sim`` for manager terms that were written for Isaac Lab and read its attributes."""
 
     def __init__(self, env: Env) -> None:
@@ -108,7 +108,7 @@ class Simulation(Kept):
     dict.fromkeys(("single_action_space", "single_observation_space", "action_space", "observation_space"), _SPACES)
     | {"viewport_camera_controller": "there is no window", "render": "wheelleg play and recordings draw pictures"}
 )
-class IsaacLabAttributes(Kept):
+class IsaacLabAttributes(Stateful):
     """Attributes of Isaac Lab's environments, computed from the managers."""
 
     if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv, Observations
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.rendering.live_pictures import LivePictures
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 Arrays = dict[str, np.ndarray]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.gym import task_env
 from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arrays, observation_space
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 _MODES = {name: AutoresetMode[name.upper()] for name in ("same_step", "next_step", "disabled")}
 

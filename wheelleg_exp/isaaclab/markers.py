@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from wheelleg_exp.state import Kept
-
 __path__: list[str] = []  # ``isaaclab`` makes the module ``markers.config``
 
 
-class VisualizationMarkersCfg(Kept):
+class VisualizationMarkersCfg:
     """The settings of markers. Any settings are accepted, but have no effect."""
 
     def __init__(self, **settings: object) -> None:
@@ -22,7 +20,7 @@ class VisualizationMarkersCfg(Kept):
         return self.replace()
 
 
-class VisualizationMarkers(Kept):
+class VisualizationMarkers:
     """Markers that are never drawn."""
 
     def __init__(self, cfg: object = None) -> None:

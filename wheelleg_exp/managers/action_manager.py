@@ -68,7 +68,6 @@ class ActionManager(ManagerBase):
     """
 
     kind = "actions"
-    saved_tensors: ClassVar = {"action": "action", "prev_action": "prev_action"}
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
@@ -89,14 +88,15 @@ class ActionManager(ManagerBase):
         driving = [(self._terms[name].path, f) for name, f in self._action_terms.items() if f.drives]
         for error in shared_action_errors((path, f.drives, f.joint_names) for path, f in driving):
             raise error
-        self.action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
-        self.prev_action = torch.zeros_like(self.action)
+        action = torch.zeros(self._num_envs, self.total_action_dim, device=env.device)
+        self.action = self.buffer("action", action)
+        self.prev_action = self.buffer("prev_action", torch.zeros_like(action))
         made = {
             name: made_delay(self._terms[name], term.processed_actions, env, env.prompt_envs)
             for name, term in self._action_terms.items()
         }
-        self.delays = {name: delay for name, delay in made.items() if delay is not None}
-        self._is_new = True
+        self.delays = self.child("delays", {name: delay for name, delay in made.items() if delay is not None})
+        self._is_new = self.number("_is_new", True, saved=False)
 
     @property
     def action_term_dim(self) -> list[int]:
@@ -153,15 +153,6 @@ class ActionManager(ManagerBase):
         for delay in self.delays.values():
             delay.reset(env_ids)
         return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        delays = {name: delay.state_dict() for name, delay in self.delays.items()}
-        return {**super().state_dict(), **({"delays": delays} if delays else {})}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        super().load_state_dict(saved)
-        for name, delay in self.delays.items():
-            delay.load_state_dict(saved["delays"][name])
 
     def __str__(self) -> str:
         targets = [self._terms[name].target.rsplit(".", 1)[-1] for name in self._action_terms]

@@ -21,7 +21,8 @@ class CommandTerm(TermBase):
     """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
     A command's metric is the sum of ``tracking error * dt`` over an episode, divided by the longest resampling time. If
-    ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode.
+    ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode. ``draws`` is False
+    in control steps in which no timer can expire.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
@@ -29,7 +30,6 @@ class CommandTerm(TermBase):
     """
 
     logs_last_error: ClassVar[bool] = False
-    may_draw = True  # ``may_draw`` is False in control steps in which no command can be drawn.
 
     def __init__(
         self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
@@ -39,11 +39,12 @@ class CommandTerm(TermBase):
         self._generator = generator
         self._time_range = (float(resampling_time_range[0]), float(resampling_time_range[1]))
         self.metric_names = list(metric_names)
-        self.metrics = torch.zeros(len(self.metric_names), n, device=device)
-        self.error_sums = torch.zeros(len(self.metric_names), n, device=device)
-        self.steps = torch.zeros(n, device=device)
-        self.time_left = torch.zeros(n, device=device)
-        self.command_counter = torch.zeros(n, dtype=torch.long, device=device)
+        self.metrics = self.buffer("metrics", torch.zeros(len(self.metric_names), n, device=device))
+        self.error_sums = self.buffer("error_sums", torch.zeros(len(self.metric_names), n, device=device))
+        self.steps = self.buffer("steps", torch.zeros(n, device=device))
+        self.time_left = self.buffer("time_left", torch.zeros(n, device=device))
+        self.command_counter = self.buffer("command_counter", torch.zeros(n, dtype=torch.long, device=device))
+        self.draws = self.number("draws", True, saved=False)
 
     @property
     def command(self) -> torch.Tensor:
@@ -75,12 +76,16 @@ class CommandTerm(TermBase):
             self.metrics += errors * (dt / self._time_range[1])
         self.steps += 1
         self.time_left -= dt
-        if self.may_draw:
+        if self.draws:
             expired = ids_where(self.time_left <= 0.0)
             if len(expired):
                 self._resample(expired)
         self.post_process()
         return errors
+
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        super().load_state_dict(saved)
+        self.read_settings()
 
     def read_settings(self) -> None:
         """Read the command's settings again.
@@ -126,7 +131,7 @@ class CommandManager(ManagerBase):
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
         self._command_terms: dict[str, CommandTerm] = {}
-        self.step_errors: dict[str, torch.Tensor] = {}
+        self.step_errors: dict[str, torch.Tensor] = self.buffer("step_errors", {}, saved=False)
         for name, term in self._terms.items():
             if not isinstance(term.func, CommandTerm):
                 message = f"'{term.target}' is not the class of a command term"
@@ -164,15 +169,12 @@ class CommandManager(ManagerBase):
         # Build a list, because each term's ``may_expire`` must run, but `any` stops a generator at the first True.
         return any([term.may_expire(dt) for term in self._command_terms.values()])
 
-    def compute(self, dt: float, *, may_draw: bool = True) -> None:
-        """Advance every command term by a step of ``dt`` seconds; if ``may_draw`` is False, draw no commands."""
+    def compute(self, dt: float, draws: bool = True) -> None:
+        """Advance every command term by a step of ``dt`` seconds; if ``draws`` is False, no timer can expire."""
         for name, term in self._command_terms.items():
             with self._terms[name].blamed():
-                if not may_draw:
-                    term.may_draw = False
+                term.draws = draws
                 self.step_errors[name] = term.compute(dt)
-                if not may_draw:
-                    del term.may_draw  # Checkpoints must not save ``may_draw``.
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 
 from wheelleg_exp.managers.manager_base import ManagerBase
@@ -20,7 +19,7 @@ class CurriculumManager(ManagerBase):
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
-        self._state: dict[str, Any] = {name: None for name in self._terms}
+        self._state: dict[str, Any] = self.number("_state", dict.fromkeys(self._terms))
         for term in self._terms.values():
             term.form = FiguresForm()
 
@@ -46,22 +45,6 @@ class CurriculumManager(ManagerBase):
         states = {name: state for name, state in self._state.items() if state is not None}
         parts = ((name, state.values() if isinstance(state, Mapping) else [state]) for name, state in states.items())
         return [(name, [_number(value) for value in values]) for name, values in parts]
-
-    def state_dict(self) -> dict[str, Any]:
-        return {**super().state_dict(), "last": {name: _plain(state) for name, state in self._state.items()}}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        super().load_state_dict(saved)
-        self._state = dict(saved["last"])
-
-
-def _plain(state: Any) -> Any:
-    """Convert the logged state of a curriculum to values that a checkpoint can store: arrays become tensors."""
-    if isinstance(state, Mapping):
-        return {str(key): _plain(value) for key, value in state.items()}
-    if isinstance(state, (np.ndarray, np.generic)):
-        return torch.as_tensor(np.array(state), device="cpu")
-    return state.clone() if isinstance(state, torch.Tensor) else state
 
 
 def _number(value: Any) -> Any:

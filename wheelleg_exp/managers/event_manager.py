@@ -15,7 +15,6 @@ from wheelleg_exp.managers.return_checks import NoForm
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.timers import may_be_due
-from wheelleg_exp.state import cloned
 from wheelleg_exp.terms.term_binding import EVENT_MODES
 
 
@@ -30,10 +29,10 @@ class EventManager(ManagerBase):
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env, instantiate=False)
         self._modes: dict[str, dict[str, Term]] = {}
-        self._time_left: dict[str, torch.Tensor] = {}
-        self._last_step: dict[str, torch.Tensor] = {}
-        self._fired_once: dict[str, torch.Tensor] = {}
-        self.fired: dict[str, torch.Tensor] = {}
+        self._time_left: dict[str, torch.Tensor] = self.buffer("_time_left", {})
+        self._last_step: dict[str, torch.Tensor] = self.buffer("_last_step", {})
+        self._fired_once: dict[str, torch.Tensor] = self.buffer("_fired_once", {})
+        self.fired: dict[str, torch.Tensor] = self.buffer("fired", {})
         self._realistic = {*env.options.realism.events} if env.exact_envs else set()
         self._asked: dict[str, set[str]] = {name: set() for name in self._terms}
         for name, term in self._terms.items():
@@ -147,17 +146,6 @@ class EventManager(ManagerBase):
                 self._draw_timer(name, term, env_ids)
         self._reset_terms(env_ids, but=self._modes.get("prestartup", {}))
         return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        timers = {name: cloned(getattr(self, f"_{name}")) for name in ("time_left", "last_step", "fired_once")}
-        return {**super().state_dict(), **timers, "fired": cloned(self.fired)}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        super().load_state_dict(saved)
-        for key in ("time_left", "last_step", "fired_once"):
-            for name, value in saved[key].items():
-                getattr(self, f"_{key}")[name].copy_(value)
-        self.fired = cloned(saved["fired"])
 
     def _draw_timer(self, name: str, term: Term, ids: torch.Tensor) -> None:
         low, high = term.fields["interval_range_s"]

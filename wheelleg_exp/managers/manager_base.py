@@ -24,7 +24,7 @@ from wheelleg_exp.managers.return_checks import Form, require_form
 from wheelleg_exp.managers.streams import lent
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
 from wheelleg_exp.sim.names import match_names
-from wheelleg_exp.state import Kept, Settings, Stateful, adopt, made
+from wheelleg_exp.state import Settings, Stateful, adopt
 from wheelleg_exp.terms import term_binding
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET, TermNode, read_from, resolve_target
 from wheelleg_exp.terms.term_errors import failure, field_errors, nested_errors, parameter_errors, placed
@@ -34,12 +34,12 @@ from wheelleg_exp.user_exceptions import ending_as, in_words
 class TermBase(Stateful):
     """Base class of terms with state, whose constructors take ``env``, parameters, and, if needed, ``generator``.
 
-    The package ``state`` saves and restores the attributes of a term: tensors always, unless ``settings`` names them;
-    other attributes once they have changed.
+    A term declares its state, for example ``self.last = self.buffer("last", torch.zeros(env.num_envs), fill=0.0)``.
     """
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Reset the state of ``env_ids``."""
+        """Reset the state of ``env_ids``; by default, fill the rows of the buffers that have a ``fill``."""
+        self.reset_rows(env_ids)
 
 
 class OfEnv:
@@ -71,7 +71,7 @@ class ManagerTermBase(OfEnv, TermBase):
 
 
 @dataclass
-class Term(Kept):
+class Term(Stateful):
     """A manager term; the manager calls a function as ``func(env, **params)``, and an object as ``func(env)``.
 
     Attributes:
@@ -84,11 +84,6 @@ class Term(Kept):
         form: the required form of the return value, if any.
         lends: whether torch's global generator is this stream while the term runs, for code written for Isaac Lab.
     """
-
-    outside_graphs: ClassVar = (
-        *("name", "path", "target", "generator", "settings", "form", "arguments"),
-        *("_has_worked", "_make", "_made_with", "_keeps_params"),
-    )
 
     name: str
     path: str
@@ -105,6 +100,11 @@ class Term(Kept):
     _made_with: dict[str, Any] = field(default_factory=dict, init=False)
     _keeps_params: bool = field(default=False, init=False)
     lends: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self.number("params", self.params, saved=False)
+        self.number("fields", self.fields, saved=False)
+        self.number("_has_worked", False, saved=False)
 
     def __getattr__(self, name: str) -> Any:
         """Return a field of the term's config, such as ``weight``, as an attribute, as in Isaac Lab's configs."""
@@ -146,12 +146,10 @@ class Term(Kept):
             yield
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the settings and the state of this manager term, which a checkpoint saves."""
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the settings and the state of this manager term from a checkpoint."""
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
@@ -186,8 +184,7 @@ class Term(Kept):
         """
         self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
         term_object = make()
-        made(term_object, self.path)
-        self.func = cast(Any, term_object)
+        self.func = self.child("func", cast(Any, term_object))
         if not keeps_params:
             self.params = {}
         self.bound()
@@ -307,22 +304,21 @@ def _built(value: Any, path: str) -> Any:
         raise ConfigError(message, key=path, expected="arguments that the target takes") from error
 
 
-class ManagerBase(OfEnv, Kept):
+class ManagerBase(OfEnv, Stateful):
     """Base class of managers; a manager owns the terms of one config section.
 
     Attributes:
-        saved_tensors: attributes that are state, by their key in the state dict.
         columns: titles of the columns that ``_cells`` adds to the table of terms.
     """
 
     kind: ClassVar[str]
-    saved_tensors: ClassVar[dict[str, str]] = {}
     columns: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True) -> None:
         self._env = env
         self._num_envs = env.num_envs
-        self._terms: dict[str, Term] = bind_terms(self.kind, f"env.{self.kind}", nodes, env, instantiate=instantiate)
+        terms = bind_terms(self.kind, f"env.{self.kind}", nodes, env, instantiate=instantiate)
+        self._terms: dict[str, Term] = self.child("_terms", terms, saved=False)
 
     @property
     def active_terms(self) -> list[str]:
@@ -365,22 +361,17 @@ class ManagerBase(OfEnv, Kept):
         return self._terms[name]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of this manager and of all its terms, which a checkpoint saves."""
-        tensors = {key: getattr(self, name).clone() for key, name in self.saved_tensors.items()}
-        return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **tensors}
+        return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **super().state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore a state that ``state_dict`` returned."""
         for name, term in self._terms.items():
             term.load_state_dict(saved["terms"][name])
-        for key, name in self.saved_tensors.items():
-            getattr(self, name).copy_(saved[key])
+        super().load_state_dict(saved)
 
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
             func: Any = term.func
-            remembers = isinstance(func, TermBase) and type(func).reset is not TermBase.reset
-            if name not in but and remembers:
+            if name not in but and isinstance(func, TermBase):
                 with term.blamed():
                     func.reset(env_ids)
 

@@ -119,7 +119,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
 
 
 def _parts(env: Env) -> list[torch.Tensor]:
-    groups = env.observation_manager.distinct()
+    groups = env.observation_manager.obs_buf.values()
     return [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
 
 

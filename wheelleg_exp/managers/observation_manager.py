@@ -14,26 +14,26 @@ from wheelleg_exp.managers.observation_term import Group, GroupLayout, Observati
 from wheelleg_exp.managers.sample_history import HistoryBuffer, RowHistory
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
-from wheelleg_exp.state import Kept, cloned, merged
+from wheelleg_exp.state import Stateful, cloned, merged
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 
 _SLICE = 100  # bytes per slice object
 
 
-class ObservationManager(Kept):
+class ObservationManager(Stateful):
     """Groups of observation terms. ``obs_buf`` contains the observations that ``compute`` returned last, by group."""
 
     def __init__(self, groups: Mapping[str, GroupOptions], env: Env) -> None:
-        self._groups: dict[str, dict[str, ObservationTerm]] = {}
+        self._groups: dict[str, dict[str, ObservationTerm]] = self.child("_groups", {}, saved=False)
         self._layouts: dict[str, GroupLayout] = {}
-        self._rows: dict[str, RowHistory] = {}
-        self._prefixes: dict[str, str] = {}
+        self._rows: dict[str, RowHistory] = self.child("_rows", {}, saved=False)
         for group, options in groups.items():
             self._add_group(group, options, env)
         self._late = [t for terms in self._groups.values() for t in terms.values() if t.delay is not None]
-        self.obs_buf: dict[str, Group] = {}
-        self._is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-        self._any_first = False
+        self.obs_buf: dict[str, Group] = self.buffer("obs_buf", {}, saved=False)
+        is_first = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self._is_first = self.buffer("_is_first", is_first)
+        self._any_first = self.number("_any_first", False, saved=False)
         self.in_masks = False  # CUDA graphs require ``in_masks`` = True: masks, not indices, select environments.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
@@ -94,10 +94,6 @@ class ObservationManager(Kept):
         shown = {f"{group}-{name}": value for group, values in split.items() for name, value in values.items()}
         return [(name, value[env_idx].flatten().tolist()) for name, value in shown.items()]
 
-    def distinct(self) -> list[Group]:
-        """Return the last observations; omit each group whose observation is the beginning of a longer group's one."""
-        return [value for group, value in self.obs_buf.items() if group not in self._prefixes]
-
     def sample_between(self) -> None:
         """Sample all observation terms with a delay; the environment calls this method between two physics steps."""
         for term in self._late:
@@ -111,14 +107,7 @@ class ObservationManager(Kept):
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
-        for group in list(self._prefixes):
-            pairs = zip(self._groups[group].values(), self._groups[self._prefixes[group]].values(), strict=False)
-            if not all((one if one.same_as is other else other).is_shared() for one, other in pairs):
-                self._unshare(group)
-        # Compute longer groups first, because the groups in ``_prefixes`` copy the observations of longer groups.
-        order = sorted(self._groups, key=lambda group: group in self._prefixes)
-        found = {group: self._computed(group, first, values) for group in order}
-        self.obs_buf = {group: found[group] for group in self._groups}
+        self.obs_buf = {group: self._computed(group, first, values) for group in self._groups}
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
@@ -157,21 +146,15 @@ class ObservationManager(Kept):
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state that a checkpoint saves."""
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
-        return {"groups": terms, "obs_buf": cloned(self.obs_buf), "is_first": self._is_first.clone()}
+        return {"groups": terms, "obs_buf": cloned(self.obs_buf), **super().state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state from a checkpoint."""
-        for group, whole in list(self._prefixes.items()):
-            own, longer = ([t["history"]["samples"] for t in saved["groups"][g].values()] for g in (group, whole))
-            if not all(map(torch.equal, own, longer)):
-                self._unshare(group)
+        super().load_state_dict(saved)
         for group, terms in self._groups.items():
             for name, term in terms.items():
                 term.load_state_dict(saved["groups"][group][name])
         self.obs_buf = cloned(saved["obs_buf"])
-        self._is_first.copy_(saved["is_first"])
         self._any_first = bool(self._is_first.any())
 
     def _add_group(self, group: str, options: GroupOptions, env: Env) -> None:
@@ -193,32 +176,6 @@ class ObservationManager(Kept):
         others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
         for one in self._groups[group].values():
             one.share(others)
-        self._find_prefixes(group)
-
-    def _find_prefixes(self, added: str) -> None:
-        """If a group's terms are the first terms of a longer group, let both groups use the same stored history."""
-        for known in [group for group in self._rows if group not in self._prefixes and group != added]:
-            part, whole = sorted((known, added), key=lambda group: len(self._groups[group]))
-            if self._rows.get(part) is None or self._rows.get(whole) is None or part in self._prefixes.values():
-                continue
-            pairs = zip(self._groups[part].values(), self._groups[whole].values(), strict=False)
-            if all(one.samples_as(other) and one.history_length for one, other in pairs):
-                self._prefixes[part] = whole
-                self._share_row(self._rows[whole], part)
-                if part == added:
-                    return
-
-    def _share_row(self, row: RowHistory, group: str) -> None:
-        self._rows[group] = row
-        for index, term in enumerate(self._groups[group].values()):
-            term.history = row.part(index)
-
-    def _unshare(self, group: str) -> None:
-        terms = self._groups[group].values()
-        values = self._rows[self._prefixes.pop(group)].prefix(len(terms))
-        row = RowHistory(len(values), [t.width for t in terms], [t.history_length for t in terms], values.device)
-        row.values = values
-        self._share_row(row, group)
 
     def _add_histories(self, group: str, env: Env) -> None:
         """Make the histories of a group: one row if the group is one vector, otherwise a buffer for each term."""
@@ -238,8 +195,6 @@ class ObservationManager(Kept):
     def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
         terms = self._groups[group]
         row = self._rows.get(group)
-        if group in self._prefixes:
-            return self._rows[group].prefix(len(terms))
         if row is not None:
             return row.append([term.sample(values) for term in terms.values()], first)
         shown = {}

@@ -15,7 +15,7 @@ from wheelleg_exp.managers.manager_base import Term, TermBase
 from wheelleg_exp.managers.return_checks import require_form, row_form
 from wheelleg_exp.managers.sample_history import HistoryBuffer, RowHistoryPart, made_delay
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
-from wheelleg_exp.state import Kept, made, stateful
+from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 from wheelleg_exp.terms.term_errors import failure
 
@@ -33,27 +33,27 @@ class Values:
     samples: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
 
 
-class ObservationTerm(Kept):
+class ObservationTerm(Stateful):
     """One observation term, computed in the order ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
     ``corrupt`` is the observation group's setting ``enable_corruption``, which turns noise on. ``history_length`` 0
     means no history.
     """
 
-    outside_graphs = ("_part_forms", "width", "shape", "sample_shape", "history_length", "_flatten", "_same_sample")
-
     def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:
-        self.term = term
+        self.term = self.child("term", term)
+        self.path = term.path
         self._env = env
         modifiers = term.fields.get("modifiers") or []
         if not isinstance(modifiers, list):
             message = "modifiers is not a list"
             raise ConfigError(message, key=f"{term.path}.modifiers", expected="[{_target_: ...}, ...]")
-        self._modifiers: list[Any] = list(modifiers)
-        self._noise: Any = term.fields.get("noise") if corrupt else None
+        self._modifiers: list[Any] = self.child("_modifiers", list(modifiers))
+        self._noise: Any = self.child("_noise", term.fields.get("noise") if corrupt else None)
         self._generator = env.streams.get(f"{term.path}.noise")
         clip = term.fields.get("clip")
-        self._clip = None if clip is None else (float(clip[0]), float(clip[1]))
+        pair = None if clip is None else (float(clip[0]), float(clip[1]))
+        self._clip = self.number("_clip", pair, saved=False)
         for name, parts, method in (("modifiers", self._modifiers, "start"), ("noise", [self._noise], "__call__")):
             for part in parts:
                 if part is not None and not hasattr(part, method):
@@ -70,13 +70,11 @@ class ObservationTerm(Kept):
                 message = f"scale has {len(scale)} numbers for a term of width {width}"
                 raise ConfigError(message, key=f"{term.path}.scale", expected=f"one number or {width}")
             scale = torch.tensor(scale, dtype=torch.float32, device=env.device)
-        self._scale: torch.Tensor | float | None = scale
-        self.delay = made_delay(term, sample, env, env.exact_envs)
-        for number, modifier in enumerate(self._modifiers):
+        self._scale: torch.Tensor | float | None = self.number("_scale", scale, saved=False)
+        self.delay = self.child("delay", made_delay(term, sample, env, env.exact_envs))
+        for modifier in self._modifiers:
             modifier.start(sample)
-            made(modifier, f"{term.path}.modifiers[{number}]")
-        self._noise_state = stateful(self._noise, f"{term.path}.noise")
-        self.history: HistoryBuffer | RowHistoryPart | None = None
+        self.history: HistoryBuffer | RowHistoryPart | None = self.child("history", None)
         self.same_as: ObservationTerm | None = None
         self._when_shared: list[tuple[Any, Any]] = []
         self._same_sample = False
@@ -113,11 +111,6 @@ class ObservationTerm(Kept):
         """Return whether this term still reuses another term's value: a curriculum may have changed a parameter."""
         is_known = self.same_as is not None and all(now.keys() == then.keys() for now, then in self._when_shared)
         return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
-
-    def samples_as(self, other: ObservationTerm) -> bool:
-        """Return whether this term and the term ``other`` always have equal samples and histories of equal length."""
-        shared = (self._same_sample and self.same_as is other) or (other._same_sample and other.same_as is self)
-        return shared and self.history_length == other.history_length
 
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
@@ -176,24 +169,6 @@ class ObservationTerm(Kept):
             self._noise.reset(env_ids, self._generator)
         if self.delay is not None:
             self.delay.reset(env_ids)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state that a checkpoint saves."""
-        state: dict[str, Any] = {"modifiers": [modifier.state_dict() for modifier in self._modifiers]}
-        state |= {"term": self.term.state_dict(), "noise": self._noise_state.state_dict()}
-        last = {"history": self.history, "delay": self.delay}
-        return state | {name: part.state_dict() for name, part in last.items() if part is not None}
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the state from a checkpoint."""
-        for modifier, state in zip(self._modifiers, saved["modifiers"], strict=True):
-            modifier.load_state_dict(state)
-        self.term.load_state_dict(saved["term"])
-        self._noise_state.load_state_dict(saved["noise"])
-        if self.history is not None:
-            self.history.load_state_dict(saved["history"])
-        if self.delay is not None:
-            self.delay.load_state_dict(saved["delay"])
 
     def _processed(self, value: torch.Tensor, *, draw: bool) -> torch.Tensor:
         if self._modifiers or self._noise is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 
@@ -23,23 +23,26 @@ class RewardManager(ManagerBase):
     """
 
     kind = "rewards"
-    saved_tensors: ClassVar = {"episode_sums": "_sums", "step_reward": "step_reward"}
     columns = ("weight",)
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
         super().__init__(nodes, env)
-        self.step_reward = torch.zeros(len(self._terms), self._num_envs, device=env.device)
+        self.step_reward = self.buffer("step_reward", torch.zeros(len(self._terms), self._num_envs, device=env.device))
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device)
-        self._sums = torch.zeros_like(self.step_reward)
-        self.failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
-        self.non_finite: dict[int, list[str]] = {}
-        self._raw_values = self.step_reward
+        self._sums = self.buffer("_sums", torch.zeros_like(self.step_reward))
+        failed = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
+        self.failed = self.buffer("failed", failed, saved=False)
+        self.non_finite: dict[int, list[str]] = self.number("non_finite", {})
+        self._raw_values = self.buffer("_raw_values", self.step_reward.clone(), saved=False)
         self._zeros = torch.zeros(self._num_envs, device=env.device)
         self._read_weights()
 
     def start_step(self) -> None:
-        """Clear ``non_finite``, and read the reward weights again, because a curriculum may have changed them."""
+        """Clear ``non_finite``, and read the reward weights again, because a curriculum may have changed them.
+
+        The environment calls ``start_step`` once before ``compute``, because a CUDA graph cannot read the weights.
+        """
         self.non_finite.clear()
         if self._weights != self._present_weights():
             self._read_weights()
@@ -50,7 +53,6 @@ class RewardManager(ManagerBase):
         ``dt`` is the duration of the control step, s. The reward of the environments in the mask ``skipped`` (N,) bool
         is 0.
         """
-        self.start_step()
         if self._terms:
             weighted = zip(self._terms.values(), self._weights, strict=True)
             values = torch.stack([self._zeros if weight == 0.0 else term(self._env) for term, weight in weighted])
@@ -66,8 +68,9 @@ class RewardManager(ManagerBase):
         return [term.fields["weight"] for term in self._terms.values()]
 
     def _read_weights(self) -> None:
-        self._weights = self._present_weights()
-        self._factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
+        self._weights = self.number("_weights", self._present_weights(), saved=False)
+        factors = self.step_reward.new_tensor(self._weights).unsqueeze(1)
+        self._factors = self.buffer("_factors", factors, saved=False)
 
     def exclude(self, env_ids: torch.Tensor) -> None:
         """Store the reward terms with NaN or inf in ``non_finite``, and set all rewards of ``env_ids`` to 0."""
@@ -103,13 +106,9 @@ class RewardManager(ManagerBase):
         self._reset_terms(env_ids)
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
-    def state_dict(self) -> dict[str, Any]:
-        return {**super().state_dict(), "non_finite": {i: list(terms) for i, terms in self.non_finite.items()}}
-
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
         self._read_weights()
-        self.non_finite = {env_id: list(terms) for env_id, terms in saved["non_finite"].items()}
 
     def _cells(self, term: Term) -> tuple[Any, ...]:
         return (term.fields["weight"],)

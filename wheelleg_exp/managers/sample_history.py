@@ -8,7 +8,8 @@ or a mask (N,); None means no environment.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 
@@ -16,13 +17,14 @@ from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.manager_base import Term
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.delay import DelayBuffer
+from wheelleg_exp.state import Stateful
 
 
-class HistoryBuffer:
+class HistoryBuffer(Stateful):
     """A buffer of the last H samples of each environment, (N, H, ...)."""
 
     def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
-        self.samples = torch.zeros(num_envs, length, *shape, device=device)
+        self.samples = self.buffer("samples", torch.zeros(num_envs, length, *shape, device=device))
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
         """Append a sample (N, ...), drop the oldest sample, and return the history (N, H, ...)."""
@@ -39,16 +41,11 @@ class HistoryBuffer:
             after[first] = newest[first]
         return after
 
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the samples of a history, which a checkpoint saves."""
-        return {"samples": self.samples.clone()}
-
-    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        """Restore the state from a checkpoint."""
-        self.samples = saved["samples"].clone()
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        self.samples = saved["samples"].clone()  # Histories that were already returned must not change.
 
 
-class RowHistory:
+class RowHistory(Stateful):
     """Stores the histories of several observation terms in one row per environment: term by term, oldest sample first.
 
     ``widths`` has the number of elements in one sample of each observation term. ``lengths`` has the number of samples
@@ -66,7 +63,7 @@ class RowHistory:
         columns = [torch.arange(end - width, end, device=device).repeat(count) for end, width, count in firsts]
         self._fill = torch.cat(columns)
         self.remembers = max(lengths) > 0
-        self.values = torch.zeros(num_envs, sum(sizes), device=device)
+        self.values = self.buffer("values", torch.zeros(num_envs, sum(sizes), device=device), saved=False)
 
     def append(self, samples: Sequence[torch.Tensor], first: torch.Tensor | None) -> torch.Tensor:
         """Append one sample (N, width) of each term, and return the histories of all terms in one row (N, columns)."""
@@ -89,16 +86,12 @@ class RowHistory:
             after.index_copy_(0, first, newest.index_select(1, self._fill[: after.shape[1]]))
         return after
 
-    def prefix(self, count: int) -> torch.Tensor:
-        """Return a copy (N, columns) of the histories of the first ``count`` terms."""
-        return self.values[:, : self._spans[count - 1].stop].clone(memory_format=torch.contiguous_format)
-
     def part(self, index: int) -> RowHistoryPart:
         """Return the history of the observation term with the index ``index``."""
         return RowHistoryPart(self, self._spans[index], self._widths[index])
 
 
-class RowHistoryPart:
+class RowHistoryPart(Stateful):
     """The history of one observation term, which is stored as columns of a ``RowHistory``."""
 
     def __init__(self, row: RowHistory, span: slice, width: int) -> None:
@@ -110,11 +103,9 @@ class RowHistoryPart:
         return self._row.values[:, self._span].unflatten(1, (-1, self._width))
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the term's stored samples, which a checkpoint saves."""
         return {"samples": self.samples.contiguous().clone()}
 
-    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        """Restore the state from a checkpoint."""
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         self._row.values = self._row.values.clone()  # Histories that were already returned must not change.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from wheelleg_exp.state import Kept, NamedStream
+from wheelleg_exp.state import NamedStream
 
 
 def stream_seed(seed: int, path: str) -> int:
@@ -17,7 +17,7 @@ def stream_seed(seed: int, path: str) -> int:
     return int.from_bytes(hashlib.sha256(f"{seed}/{path}".encode()).digest()[:8], "little") & (2**63 - 1)
 
 
-class Streams(Kept):
+class Streams:
     """The random streams of one environment, made from the seed of the run."""
 
     def __init__(self, seed: int, device: torch.device | str = "cpu") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import torch
 
@@ -88,8 +88,6 @@ class SceneEntityCfg:
         object_collection_ids: not used.
         preserve_order: order by expression (True) or by the asset (False).
     """
-
-    outside_graphs: ClassVar = ("name", "preserve_order", "fixed_tendon_names", "object_collection_names", "_bodies")
 
     name: str
     joint_names: Names | None = None

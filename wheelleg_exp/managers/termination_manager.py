@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 
@@ -28,7 +28,6 @@ class TerminationManager(ManagerBase):
     """
 
     kind = "terminations"
-    saved_tensors: ClassVar = {"last_episode": "_last_episode"} | {n: n for n in ("fired", "terminated", "time_outs")}
     columns = ("time-out",)
 
     def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
@@ -37,12 +36,14 @@ class TerminationManager(ManagerBase):
         self._time_out_rows, self._failure_rows = (
             narrowed([row for row, flag in enumerate(flags) if flag is wanted], env.device) for wanted in (True, False)
         )
-        self.fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool, device=env.device)
+        fired = torch.zeros(len(self._terms), self._num_envs, dtype=torch.bool, device=env.device)
+        self.fired = self.buffer("fired", fired)
         for term in self._terms.values():
             term.form = TensorForm(self._num_envs, env.device, torch.bool, what="true or false")
-        self._last_episode = torch.zeros_like(self.fired)
-        self.terminated = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
-        self.time_outs = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
+        self._last_episode = self.buffer("_last_episode", torch.zeros_like(fired))
+        ended = torch.zeros(self._num_envs, dtype=torch.bool, device=env.device)
+        self.terminated = self.buffer("terminated", ended)
+        self.time_outs = self.buffer("time_outs", ended.clone())
 
     @property
     def dones(self) -> torch.Tensor:

@@ -7,7 +7,7 @@ The field ``delay`` of an action term delays the term's targets by a number of p
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 
@@ -29,8 +29,6 @@ class JointTerm(ActionTerm):
         width: number of components of the action; None means one per joint.
     """
 
-    settings: ClassVar[tuple[str, ...]] = ("_ids", "_low", "_high")
-
     def __init__(
         self,
         env: Env,
@@ -50,12 +48,14 @@ class JointTerm(ActionTerm):
         self._low: torch.Tensor | None
         self._high: torch.Tensor | None
         self._low, self._high = (None, None) if bounds is None else (bounds[:, 0], bounds[:, 1])
-        self.raw_actions = torch.zeros(env.num_envs, self.action_dim, device=env.device)
-        self.processed_actions = torch.zeros(env.num_envs, len(indices), device=env.device)
+        raw = torch.zeros(env.num_envs, self.action_dim, device=env.device)
+        self.raw_actions = self.buffer("raw_actions", raw, fill=0.0)
+        processed = torch.zeros(env.num_envs, len(indices), device=env.device)
+        self.processed_actions = self.buffer("processed_actions", processed)
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Set the raw actions of ``env_ids`` to zero; as in Isaac Lab, the processed actions do not change."""
-        self.raw_actions.index_fill_(0, env_ids, 0.0)
+        self.reset_rows(env_ids)
 
     def _set_targets(self) -> None:
         getattr(self._robot, f"set_joint_{self.drives}_target")(self.processed_actions, self._ids)
@@ -76,8 +76,6 @@ class JointAction(JointTerm):
         scale: factor on the raw action; a number, or one by joint expression.
         offset: added after scaling; a number, or one by joint expression.
     """
-
-    settings = (*JointTerm.settings, "_scale", "_offset")
 
     def __init__(
         self,
@@ -214,7 +212,6 @@ class JointPositionToLimitsAction(JointTerm):
 
     drives = "position"
     apply_actions = JointTerm._set_targets
-    settings = (*JointTerm.settings, "_scale")
 
     def __init__(
         self,
@@ -259,8 +256,6 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
     """
 
-    settings = (*JointPositionToLimitsAction.settings, "_alpha")
-
     def __init__(
         self,
         env: Env,
@@ -274,7 +269,7 @@ class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
     ) -> None:
         super().__init__(env, joint_names, scale, clip, rescale_to_limits, preserve_order, asset_name)
         self._alpha = self._spread(alpha, 1.0, "alpha")
-        self._last = torch.zeros_like(self.processed_actions)
+        self._last = self.buffer("_last", torch.zeros_like(self.processed_actions))
 
     def process_actions(self, actions: torch.Tensor) -> None:
         super().process_actions(actions)
@@ -295,8 +290,6 @@ class BinaryJointAction(JointTerm):
         close_command_expr: target of each joint when closed, by joint expression.
         clip: bounds of the targets by joint expression.
     """
-
-    settings = (*JointTerm.settings, "_open", "_close")
 
     def __init__(
         self,

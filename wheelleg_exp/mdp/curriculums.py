@@ -48,7 +48,7 @@ class action_delay_levels(TermBase):
     def __init__(self, env: Env, num_episodes: Count, max_tilt: Positive | None = None) -> None:
         self._num_episodes = num_episodes
         self._max_tilt = math.inf if max_tilt is None else max_tilt
-        self.level = torch.zeros(env.num_envs, device=env.device)
+        self.level = self.buffer("level", torch.zeros(env.num_envs, device=env.device))
 
     def __call__(self, env: Env, env_ids: torch.Tensor) -> torch.Tensor:
         share = env.episode_length_buf[env_ids] / env.max_episode_length
@@ -106,7 +106,8 @@ class modify_env_param(TermBase):
         # A checkpoint already saves each manager term's settings, so a curriculum term saves only other settings.
         self._is_saved = passes_a_term(env, self._parts)
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
-        self._has_written, self._value = False, None
+        self._has_written = self.number("_has_written", False)
+        self._value: Any = self.number("_value", None)
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
         """Split a setting's address, such as ``a.b[2].c``, into names and indices."""
@@ -224,9 +225,9 @@ class command_range_levels(TermBase):
         self._reward, self._step, self._threshold = reward_term_name, step, threshold
         self._command = command_name
         self._limits = {axis: (float(low), float(high)) for axis, (low, high) in limit_ranges.items()}
-        self._sum = torch.zeros((), device=env.device)
-        self._count = 0
-        self._looked_at = 0
+        self._sum = self.buffer("_sum", torch.zeros((), device=env.device))
+        self._count = self.number("_count", 0)
+        self._looked_at = self.number("_looked_at", 0)
         env.reward_manager.episode_sums(reward_term_name)
         for error in _range_errors(command_name, _ranges(env, command_name), self._limits):
             raise error
@@ -310,14 +311,14 @@ class command_levels_by_skill(TermBase):
         self._moves_from = command_threshold
         shape = (3, len(self._names), env.num_envs)
         # ``_sums`` adds up three values per episode: tracking score, score of a robot at rest, and number of steps.
-        self._sums = torch.zeros(shape, device=env.device)
-        self._total = torch.zeros(shape[:2], device=env.device)  # over ended episodes
+        self._sums = self.buffer("_sums", torch.zeros(shape, device=env.device))
+        self._total = self.buffer("_total", torch.zeros(shape[:2], device=env.device))  # over ended episodes
         # ``_counts[i]`` is False if environment i's episode started before the last growth of a command range.
-        self._counts = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
-        self._ended = 0
-        self._streak = dict.fromkeys(self._names, 0)
-        self._idle = dict.fromkeys(self._names, 0)
-        self._skill = dict.fromkeys(self._names, 0.0)
+        self._counts = self.buffer("_counts", torch.ones(env.num_envs, dtype=torch.bool, device=env.device))
+        self._ended = self.number("_ended", 0)
+        self._streak = self.number("_streak", dict.fromkeys(self._names, 0))
+        self._idle = self.number("_idle", dict.fromkeys(self._names, 0))
+        self._skill = self.number("_skill", dict.fromkeys(self._names, 0.0))
         env.observers.append(self.observe)
 
     def observe(self) -> None:
@@ -407,9 +408,10 @@ class terrain_levels_by_distance(TermBase):
         env.command_manager.get_term(command_name)
         self._env, self._command, self._asset = env, command_name, asset_cfg.name
         self._up, self._down, self._least, self._patience = up, down, min_distance, patience
-        self._commanded = torch.zeros(env.num_envs, device=env.device)
-        self._covered = torch.zeros(env.num_envs, device=env.device)
-        self._best, self._best_at = -1.0, 0
+        self._commanded = self.buffer("_commanded", torch.zeros(env.num_envs, device=env.device))
+        self._covered = self.buffer("_covered", torch.zeros(env.num_envs, device=env.device))
+        self._best = self.number("_best", -1.0)
+        self._best_at = self.number("_best_at", 0)
         env.observers.append(self.observe)
 
     def observe(self) -> None:

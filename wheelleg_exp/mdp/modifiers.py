@@ -8,12 +8,11 @@ from typing import Annotated
 import torch
 
 from wheelleg_exp.constraints import Bounds, NotEmpty, Positive
-from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.state import Stateful
 
 
 class Modifier(Stateful):
-    """A function of an observation, whose attributes can store past values and are saved in checkpoints."""
+    """A function of an observation, which can declare buffers for past values."""
 
     def start(self, sample: torch.Tensor) -> None:
         """Allocate tensors for past samples of the observation; ``sample`` (N, ...) is an example."""
@@ -22,7 +21,8 @@ class Modifier(Stateful):
         raise NotImplementedError
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the memory of ``env_ids``."""
+        """Clear the memory of ``env_ids``: fill the buffers that have a ``fill``."""
+        self.reset_rows(env_ids)
 
 
 class Scale(Modifier):
@@ -73,9 +73,11 @@ class DigitalFilter(Modifier):
     def start(self, sample: torch.Tensor) -> None:
         device = sample.device
         feedback, forward = (torch.tensor(given, dtype=torch.float32, device=device) for given in self._given)
-        self._coefficients = (feedback, forward)  # Checkpoints save tensor attributes, but no tuples.
-        self._inputs = torch.zeros(*sample.shape, len(forward), device=device)
-        self._outputs = torch.zeros(*sample.shape, len(feedback), device=device)
+        self._coefficients = (feedback, forward)
+        inputs = torch.zeros(*sample.shape, len(forward), device=device)
+        self._inputs = self.buffer("_inputs", inputs, fill=0.0)
+        outputs = torch.zeros(*sample.shape, len(feedback), device=device)
+        self._outputs = self.buffer("_outputs", outputs, fill=0.0)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         self._inputs[..., 1:] = self._inputs[..., :-1].clone()
@@ -86,10 +88,6 @@ class DigitalFilter(Modifier):
             self._outputs[..., 1:] = self._outputs[..., :-1].clone()
             self._outputs[..., 0] = filtered
         return filtered
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._inputs, env_ids, 0.0)
-        fill_rows(self._outputs, env_ids, 0.0)
 
 
 class Integrator(Modifier):
@@ -103,14 +101,10 @@ class Integrator(Modifier):
         self._dt = dt
 
     def start(self, sample: torch.Tensor) -> None:
-        self._integral = torch.zeros_like(sample)
-        self._previous = torch.zeros_like(sample)
+        self._integral = self.buffer("_integral", torch.zeros_like(sample), fill=0.0)
+        self._previous = self.buffer("_previous", torch.zeros_like(sample), fill=0.0)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
         self._integral += (value + self._previous) / 2 * self._dt
         self._previous.copy_(value)
         return self._integral.clone()
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._integral, env_ids, 0.0)
-        fill_rows(self._previous, env_ids, 0.0)

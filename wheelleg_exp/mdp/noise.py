@@ -9,6 +9,7 @@ from typing import Any, Literal
 import torch
 
 from wheelleg_exp.constraints import Broken, NonNegative, Share, relation
+from wheelleg_exp.state import Stateful
 
 Operation = Literal["add", "scale", "abs"]
 
@@ -74,7 +75,7 @@ def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
 
 
 @relation(_bias_does_not_add_up)
-class NoiseModelWithAdditiveBias:
+class NoiseModelWithAdditiveBias(Stateful):
     """Observation noise plus a bias that is drawn at each reset.
 
     Args:
@@ -87,7 +88,9 @@ class NoiseModelWithAdditiveBias:
     def __init__(self, noise_cfg: Noise, bias_noise_cfg: Noise, sample_bias_per_component: bool = True) -> None:
         self._noise, self._bias_noise = noise_cfg, bias_noise_cfg
         self._per_component = sample_bias_per_component
-        self._bias: torch.Tensor | None = None
+        self._bias: torch.Tensor | None = self.buffer("_bias", None)
+        self.child("noise_cfg", noise_cfg)
+        self.child("bias_noise_cfg", bias_noise_cfg)
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         if self._bias is None:
@@ -101,16 +104,8 @@ class NoiseModelWithAdditiveBias:
         if self._bias is not None:
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the observation bias of each environment, which a checkpoint saves."""
-        return {"bias": None if self._bias is None else self._bias.clone()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore the observation bias of each environment from a checkpoint."""
-        self._bias = None if saved["bias"] is None else saved["bias"].clone()
-
-
-class SensorErrors:
+class SensorErrors(Stateful):
     """The errors of a real sensor, in this order: lag, drift, noise, resolution, lost readings. Not in Isaac Lab.
 
     Args:
@@ -133,7 +128,9 @@ class SensorErrors:
         lost: Share = 0.0,
     ) -> None:
         self._std, self._drift, self._lag, self._resolution, self._lost = std, drift, lag, resolution, lost
-        self._smooth: torch.Tensor | None = None
+        self._smooth: torch.Tensor | None
+        for name in ("_smooth", "_walk", "_last", "_is_first", "_time_constant"):
+            self.buffer(name, None)
 
     def __call__(self, value: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         if self._smooth is None:
@@ -161,14 +158,3 @@ class SensorErrors:
         self._time_constant = self._time_constant.index_copy(0, env_ids, drawn)
         self._is_first = self._is_first.index_fill(0, env_ids, True)
         self._walk = self._walk.index_fill(0, env_ids, 0.0)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the filter, the walk, and the last reading of each environment, which a checkpoint saves."""
-        names = () if self._smooth is None else ("_smooth", "_walk", "_last", "_is_first", "_time_constant")
-        return {name: getattr(self, name).clone() for name in names}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self._smooth = None
-        for name, value in saved.items():
-            setattr(self, name, value.clone())

@@ -97,8 +97,6 @@ class joint_pos_limit_normalized(TermBase):
         asset_cfg: the robot and its joints, each of them limited.
     """
 
-    settings = ("_ids",)
-
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
         self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
         if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():

@@ -14,7 +14,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.commands.velocity_commands import integrated_travel_error
 from wheelleg_exp.mdp.root_motion import height_over_ground, level_velocity, roll_pitch
-from wheelleg_exp.sim.ids import fill_rows, picked
+from wheelleg_exp.sim.ids import picked
 from wheelleg_exp.sim.names import match_names
 
 
@@ -210,7 +210,7 @@ class jump_clearance(TermBase):
         self, env: Env, command_name: str, rest: NonNegative, target: Positive, asset_cfg: SceneEntityCfg = _ROBOT
     ) -> None:
         self._command, self._rest, self._target, self._entity = command_name, rest, target, asset_cfg
-        self._highest = torch.zeros(env.num_envs, device=env.device)
+        self._highest = self.buffer("_highest", torch.zeros(env.num_envs, device=env.device), fill=0.0)
 
     def height(self, env: Env) -> torch.Tensor:
         """Return the height of the lowest wheel's link above the ground, m, (N,)."""
@@ -223,9 +223,6 @@ class jump_clearance(TermBase):
         gain = torch.where(jumps, (height - self._highest).clamp(min=0.0), 0.0)
         self._highest.copy_(torch.where(jumps, self._highest + gain, 0.0))
         return gain / env.step_dt
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._highest, env_ids, 0.0)
 
 
 class jump_apex(jump_clearance):
@@ -308,8 +305,8 @@ class joint_vel_rate_l2(TermBase):
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
         self._joints = asset_cfg
-        self._last = torch.zeros_like(self._velocity(env))
-        self._has_last = torch.zeros(env.num_envs, 1, device=env.device)
+        self._last = self.buffer("_last", torch.zeros_like(self._velocity(env)))
+        self._has_last = self.buffer("_has_last", torch.zeros(env.num_envs, 1, device=env.device), fill=0.0)
 
     def __call__(self, env: Env) -> torch.Tensor:
         velocity = self._velocity(env)
@@ -317,9 +314,6 @@ class joint_vel_rate_l2(TermBase):
         self._last.copy_(velocity)
         self._has_last.fill_(1.0)
         return change.square().sum(dim=1)
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._has_last, env_ids, 0.0)
 
     def _velocity(self, env: Env) -> torch.Tensor:
         velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)
@@ -397,16 +391,13 @@ class action_acceleration_l2(TermBase):
     """
 
     def __init__(self, env: Env) -> None:
-        self._before_last = torch.zeros_like(env.action_manager.action)
+        self._before_last = self.buffer("_before_last", torch.zeros_like(env.action_manager.action), fill=0.0)
 
     def __call__(self, env: Env) -> torch.Tensor:
         action, last = env.action_manager.action, env.action_manager.prev_action
         second_difference = action - 2.0 * last + self._before_last
         self._before_last.copy_(last)
         return second_difference.square().sum(dim=1)
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._before_last, env_ids, 0.0)
 
 
 def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:

@@ -10,7 +10,7 @@ import torch
 from wheelleg_exp.constraints import Above, AtMost, Bounds, Count, NonNegative, Positive
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
 from wheelleg_exp.mdp.root_motion import height_over_ground
-from wheelleg_exp.sim.ids import fill_rows, picked
+from wheelleg_exp.sim.ids import picked
 
 Tilt = Annotated[float, Above(0), AtMost(math.pi)]  # rad
 _ROBOT = SceneEntityCfg("robot")
@@ -97,9 +97,9 @@ class stuck(TermBase):
         self._command, self._threshold = command_name, command_threshold
         self._distance, self._steps = distance, math.ceil(round(time / env.step_dt, 6))
         self._asset = asset_cfg.name
-        self._from = torch.zeros(env.num_envs, 2, device=env.device)
+        self._from = self.buffer("_from", torch.zeros(env.num_envs, 2, device=env.device))
         # ``_stayed`` counts control steps without a movement by ``distance``; -1 marks the start of an episode.
-        self._stayed = torch.full((env.num_envs,), -1, device=env.device)
+        self._stayed = self.buffer("_stayed", torch.full((env.num_envs,), -1, device=env.device), fill=-1)
 
     def __call__(self, env: Env) -> torch.Tensor:
         position = env.scene[self._asset].data.root_pos_w[:, :2]
@@ -109,9 +109,6 @@ class stuck(TermBase):
         self._stayed.add_(1).masked_fill_(restarts, 0)
         self._from.copy_(torch.where(restarts.unsqueeze(1), position, self._from))
         return self._stayed >= self._steps
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._stayed, env_ids, -1)
 
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

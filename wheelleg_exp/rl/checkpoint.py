@@ -17,10 +17,12 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
+from wheelleg_exp.state.old_layout import from_format_2
 
-FORMAT_VERSION = 2
-# Checkpoints of version 1 contain the networks, but not all state that is needed to resume a training.
-_READABLE = (1, FORMAT_VERSION)
+FORMAT_VERSION = 3
+# Checkpoints of version 1 contain the networks, but not all state that is needed to resume a training. In version 2,
+# the state of the environment has another layout.
+_READABLE = (1, 2, FORMAT_VERSION)
 _NEEDED = {"format_version": object, "iter": int}
 # An rsl_rl algorithm has two networks: an actor and a critic, or a student and a teacher.
 ROLES = ("actor", "critic", "student", "teacher")
@@ -60,6 +62,9 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         raise RunDirectoryError(message, key=str(path), expected=f"version {FORMAT_VERSION}")
     if finite:
         _require_finite(state, path)
+    for part in [state, *state.get("ranks", ())] if state["format_version"] == 2 else ():
+        if "env" in part:
+            part["env"] = from_format_2(part["env"])
     return state
 
 
@@ -105,7 +110,7 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
 
 def require_resumable(state: Mapping[str, Any]) -> None:
     """Raise RunDirectoryError if a checkpoint lacks state that is needed to resume its training."""
-    if state["format_version"] != FORMAT_VERSION:
+    if state["format_version"] not in _READABLE[1:]:
         message = "the checkpoint contains only networks: it can be played, but a training cannot be resumed from it"
         expected = f"a checkpoint of format version {FORMAT_VERSION}; or a new training with init_from=RUN"
         raise RunDirectoryError(message, expected=expected)

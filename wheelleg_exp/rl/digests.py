@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from wheelleg_exp.rl.policy_average import STATE
-from wheelleg_exp.state.saved_values import bytes_of
+from wheelleg_exp.state.values import bytes_of
 
 if TYPE_CHECKING:
     from hashlib import _Hash

@@ -27,6 +27,7 @@ from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication,
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
+from wheelleg_exp.state.undeclared import UndeclaredChanges
 from wheelleg_exp.user_exceptions import in_words, place
 
 
@@ -70,6 +71,7 @@ class Trainer:
             load_teacher(self.algorithm, teacher)
         if initial is not None:
             load_initial(self.algorithm, initial, env, agent["obs_groups"])
+        self._is_declared = False  # whether the first rollout has been checked for undeclared state
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
         self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
@@ -108,6 +110,7 @@ class Trainer:
     def _roll_out(self) -> None:
         observations = self.env.get_observations().to(self.device)
         failed = FailureCount(self.env.num_envs, self._agent)
+        undeclared = None if self._is_declared else UndeclaredChanges(self.env.env)
         for _ in range(self.num_steps):
             actions = self._ppo.act(observations).to(self.env.env.device)
             require_finite_actions(self.env.env, actions)
@@ -119,6 +122,9 @@ class Trainer:
             self._means.take()
             observations, rewards, dones = (x.to(self.device) for x in (observations, rewards, dones))
             self.algorithm.process_env_step(observations, rewards, dones, extras)
+        if undeclared is not None:
+            undeclared.require_none()
+            self._is_declared = True
         with one_thread():
             self.algorithm.compute_returns(observations)
 

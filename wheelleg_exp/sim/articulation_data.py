@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -60,7 +60,7 @@ class ArticulationData(RobotData):
         self.GRAVITY_VEC_W = self._gravity_dir.repeat(n, 1)
         self.FORWARD_VEC_B = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(n, 1)
         start = torch.cat((layout.default_root_pos, layout.default_root_quat, torch.zeros(6, device=device)))
-        self.default_root_state = start.repeat(n, 1)
+        self.default_root_state = self.setting("default_root_state", start.repeat(n, 1))
         self.default_joint_stiffness = gains("stiffness", False)
         self.default_joint_damping = gains("damping", False)
         self.default_joint_armature = self.joint_armature.clone()
@@ -73,11 +73,8 @@ class ArticulationData(RobotData):
         inertia = axes @ torch.diag_embed(self._of_bodies("body_inertia")[0]) @ axes.mT
         self.default_inertia = inertia.reshape(1, bodies, 9).repeat(n, 1, 1)
         # ``_vel_before`` stores the bodies' velocities before the last physics step; None until accelerations are read.
-        self._vel_before: torch.Tensor | None = None
-        self._acc_valid = torch.zeros(n, 1, 1, device=device)
-
-    def settings(self) -> dict[str, torch.Tensor]:
-        return {**super().settings(), "default_root_state": self.default_root_state}
+        self._vel_before: torch.Tensor | None = self.buffer("_vel_before", None)
+        self._acc_valid = self.buffer("_acc_valid", torch.zeros(n, 1, 1, device=device))
 
     device = alias_of("_sim.device", "Device of the tensors.")
 
@@ -253,15 +250,3 @@ class ArticulationData(RobotData):
     def reset(self, ids: torch.Tensor) -> None:
         super().reset(ids)
         self.forget_accelerations(ids)
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        saved = super().state_dict()
-        if self._vel_before is not None:
-            saved |= {"body_vel_before": self._vel_before.clone(), "acc_valid": self._acc_valid.clone()}
-        return saved
-
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
-        super().load_state_dict(saved)
-        found = saved.get("body_vel_before")
-        self._vel_before = None if found is None else found.clone()
-        self._acc_valid.copy_(saved.get("acc_valid", torch.zeros_like(self._acc_valid)))

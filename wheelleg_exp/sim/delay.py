@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_model import JointTargets
-from wheelleg_exp.state import Stateful, cloned
+from wheelleg_exp.state import Stateful
 
 
-class DelayBuffer:
+class DelayBuffer(Stateful):
     """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
     The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
@@ -32,13 +31,15 @@ class DelayBuffer:
         self, sample: torch.Tensor, lags: Sequence[int], generator: torch.Generator, jitter: int = 0, prompt: int = 0
     ) -> None:
         self._range, self._generator, self._jitter = lags, generator, jitter
-        self.share = torch.ones(len(sample), device=sample.device)
-        self._samples = torch.zeros(len(sample), lags[1] + jitter + 1, *sample.shape[1:], device=sample.device)
+        self.share = self.buffer("share", torch.ones(len(sample), device=sample.device))
+        shape = (len(sample), lags[1] + jitter + 1, *sample.shape[1:])
+        self._samples = self.buffer("_samples", torch.zeros(shape, device=sample.device))
         self._rows = torch.arange(len(sample), device=sample.device)
         self._is_late = (self._rows >= prompt).long()
-        self._is_first = torch.ones(len(sample), dtype=torch.bool, device=sample.device)
-        self.lag = torch.zeros(len(sample), dtype=torch.long, device=sample.device)
-        self._last_lag = torch.zeros_like(self.lag)  # the lag of the sample that ``push`` last returned
+        self._is_first = self.buffer("_is_first", torch.ones(len(sample), dtype=torch.bool, device=sample.device))
+        self.lag = self.buffer("lag", torch.zeros(len(sample), dtype=torch.long, device=sample.device))
+        # ``_last_lag`` is the lag of the sample that ``push`` last returned.
+        self._last_lag = self.buffer("_last_lag", torch.zeros_like(self.lag))
 
     def push(self, sample: torch.Tensor) -> torch.Tensor:
         """Store a sample (N, ...), and return the sample that was stored ``lag`` calls earlier."""
@@ -64,19 +65,6 @@ class DelayBuffer:
         self._last_lag[env_ids] = self.lag[env_ids]
         fill_rows(self._is_first, env_ids, True)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the stored samples and the lags of all environments."""
-        state = {"samples": self._samples, "is_first": self._is_first, "lag": self.lag, "last_lag": self._last_lag}
-        return cloned({**state, "share": self.share})
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self._samples = saved["samples"].clone()
-        self._is_first.copy_(saved["is_first"])
-        self.lag.copy_(saved["lag"])
-        self._last_lag.copy_(saved.get("last_lag", saved["lag"]))  # Older checkpoints have no jitter and no share.
-        self.share[:] = saved.get("share", 1.0)
-
     def _pushed(self, sample: torch.Tensor) -> torch.Tensor:
         newest = sample.unsqueeze(1)
         later = torch.cat((newest, self._samples[:, :-1]), dim=1)
@@ -92,15 +80,14 @@ class TargetDelay(Stateful):
     ``bounds`` are the shortest and longest lag, in physics steps; the joint targets have the shape ``shape`` (N, J).
     """
 
-    settings = ("_ids",)
-
     def __init__(
         self, bounds: Sequence[int], joint_ids: torch.Tensor, shape: tuple[int, int], generator: torch.Generator
     ) -> None:
         device = joint_ids.device
         self._ids = joint_ids
-        self._past = DelayBuffer(torch.zeros(shape[0], 3, len(joint_ids), device=device), bounds, generator)
-        self._seen = torch.zeros(shape[0], 3, shape[1], device=device)
+        sample = torch.zeros(shape[0], 3, len(joint_ids), device=device)
+        self._past = self.child("_past", DelayBuffer(sample, bounds, generator))
+        self._seen = self.buffer("_seen", torch.zeros(shape[0], 3, shape[1], device=device))
         self.targets = JointTargets(*self._seen.unbind(dim=1))
 
     def reset(self, env_ids: torch.Tensor) -> None:

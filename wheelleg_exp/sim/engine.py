@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import mujoco
 import torch
 
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 WRENCHES = "wrenches"
 
 
-class Engine(Kept, ABC):
+class Engine(Stateful, ABC):
     """N simulations of one model.
 
     State fields are always current. Once code has called ``derived``, each physics step also updates quantities such as

@@ -20,7 +20,6 @@ from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.robot_data import RobotData
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
 from wheelleg_exp.sim.robot_writers import RobotWriters
-from wheelleg_exp.state import cloned, made, same
 from wheelleg_exp.terms.term_errors import blamed
 
 ACTUATORS_KEY = "env.robot.actuators"
@@ -39,7 +38,7 @@ class Robot(RobotWriters):
     ) -> None:
         self.options = options
         self.layout = RobotLayout(options, spec, root_name, device)
-        self.actuators = dict(actuators)
+        self.actuators = self.child("actuators", dict(actuators))
         for name, actuator in self.actuators.items():
             with self._blamed(name):
                 actuator.resolve(self.joint_names, f"{ACTUATORS_KEY}.{name}", device)
@@ -72,13 +71,14 @@ class Robot(RobotWriters):
             key = f"{ACTUATORS_KEY}.{name}"
             with self._blamed(name):
                 actuator.start(shape, float(sim.model.opt.timestep), partial(stream, key))
-                made(actuator, key)
         self.body_ids = layout.body_ids
         pos = layout.default_joint_pos.expand(shape).clone()
-        self.targets = JointTargets(pos, torch.zeros(shape, device=device), torch.zeros(shape, device=device))
-        self.data = ArticulationData(sim, layout, self.targets, self._computed_torque, gains=self._gains)
+        targets = JointTargets(pos, torch.zeros(shape, device=device), torch.zeros(shape, device=device))
+        self.targets = self.child("targets", targets)
+        data = ArticulationData(sim, layout, targets, self._computed_torque, gains=self._gains)
+        self.data = self.child("data", data)
         self._ctrl = sim.view("ctrl")
-        self._has_new_targets = True
+        self._has_new_targets = self.number("_has_new_targets", True, saved=False)
         self._qpos, self._qvel, self._xfrc = sim.view("qpos"), sim.view("qvel"), sim.view("xfrc_applied")
         self._root_qpos, self._root_qvel = self._qpos[:, 0:7], self._qvel[:, 0:6]
         # ``_root_xfrc`` is a view (2, 3, N) of the external force and torque on the root links of N environments.
@@ -88,10 +88,10 @@ class Robot(RobotWriters):
         self._stale: list[torch.Tensor] = []
         self._all_ids = torch.arange(n, device=device)
         self.all_body_ids = torch.arange(len(self.body_names), device=device)
-        self._made = cloned(self.data.settings())
-        self._wrench_bodies: tuple[int, ...] = ()
+        self._wrench_bodies: tuple[int, ...] = self.number("_wrench_bodies", ())
         # In memory, the environments are the last dimension of ``_wrench``, which makes rotating the wrenches fast.
-        self._wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
+        wrench = torch.zeros(len(self.body_names), 2, 3, n, device=device).permute(3, 0, 2, 1)
+        self._wrench = self.buffer("_wrench", wrench)
         self._root_wrench = self._wrench[:, 0].permute(2, 1, 0).unsqueeze(1)
 
     def _computed_torque(self, data: RobotData) -> torch.Tensor:
@@ -188,28 +188,10 @@ class Robot(RobotWriters):
         return rows
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state that is not in the engine: targets, wrenches, actuators, changed settings."""
-        return {
-            **self.targets.state_dict(),
-            "settings": {n: v for n, v in cloned(self.data.settings()).items() if not same(v, self._made[n])},
-            "actuators": {name: actuator.state_dict() for name, actuator in self.actuators.items()},
-            **self.data.state_dict(),
-            "wrench": self._wrench.clone(memory_format=torch.contiguous_format),
-            "wrench_bodies": list(self._wrench_bodies),
-            "stale": self._stale_rows(),
-        }
+        return {**super().state_dict(), "stale": self._stale_rows()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self.targets.load_state_dict(saved)
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        super().load_state_dict(saved)
         self._has_new_targets = True
-        present = self.data.settings()
-        for name, value in {**self._made, **saved["settings"]}.items():
-            present[name].copy_(value)
-        for name, actuator in self.actuators.items():
-            actuator.load_state_dict(saved["actuators"][name])
-        self.data.load_state_dict(saved)
-        self._wrench.copy_(saved["wrench"])
-        self._wrench_bodies = tuple(saved["wrench_bodies"])
         ids = ids_where(saved["stale"])
         self._stale = [ids] if len(ids) else []

@@ -6,6 +6,7 @@ Each quantity of the robot is computed at its first read after a change of the r
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 
@@ -14,16 +15,10 @@ from wheelleg_exp.sim.class_members import alias_of, cached_until_change
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
-from wheelleg_exp.state import Kept
-
-# ``_SETTINGS`` lists the robot parameters that events can change.
-_SETTINGS = (
-    *("default_joint_pos", "default_joint_vel", "joint_pos_limits", "soft_joint_pos_limits", "soft_joint_vel_limits"),
-    *("joint_effort_limits", "encoder_bias", "com_b", "imu_tilt", "gyro_bias", "gravity_dir_w"),
-)
+from wheelleg_exp.state import Stateful
 
 
-class RobotData(Kept):
+class RobotData(Stateful):
     """The robot's state: float32, N environments, joints and bodies in the robot's order; always fresh.
 
     The suffix ``_w`` of an attribute name means world axes; the suffix ``_b`` means the axes of the root link. Root
@@ -51,39 +46,42 @@ class RobotData(Kept):
         self._targets = targets
         self._compute_torque = computed_torque
         self._layout = layout
-        self._cache: dict[str, torch.Tensor] = {}
-        self._shows_outputs = False
+        self._cache: dict[str, torch.Tensor] = self.buffer("_cache", {}, saved=False)
+        self._shows_outputs = self.number("_shows_outputs", False, saved=False)
         self._constants: dict[str, torch.Tensor] = {}
         self._root_id = int(layout.body_ids[0])
         self._floating = layout.floating
         self._qpos, self._qvel = sim.view("qpos"), sim.view("qvel")
         self._qpos_ids, self._dof_ids = layout.qpos_ids, layout.dof_ids
-        self.motion_at_start = sim.motion.clone()
-        self._motion_before = torch.zeros_like(self.motion_at_start)
+        self.motion_at_start = self.buffer("motion_at_start", sim.motion.clone(), saved=False)
+        self._motion_before = self.buffer("_motion_before", torch.zeros_like(self.motion_at_start))
         self._qpos_before, self._qvel_before = self._motion_before.split(self._qpos.shape[1:] + self._qvel.shape[1:], 1)
         self._body_ids = layout.body_ids
         self._actuated = layout.actuated_ids
         every = len(self._actuated) == joints
         self._of_actuator = narrowed(torch.argsort(self._actuated).tolist(), device) if every else None
         self._dt = float(sim.model.opt.timestep)
-        self.com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
-        self.default_joint_pos = layout.default_joint_pos.expand(n, joints).clone()
-        self.default_joint_vel = layout.default_joint_vel.expand(n, joints).clone()
-        self.joint_pos_limits = layout.joint_pos_limits.expand(n, joints, 2).clone()
-        self.soft_joint_pos_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
-        self.soft_joint_vel_limits = layout.velocity_limits.expand(n, joints).clone()
-        self.joint_effort_limits = layout.effort_limits.expand(n, joints).clone()
-        self.encoder_bias = torch.zeros(n, joints, device=device)
+        com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
+        self.com_b = self.setting("com_b", com_b)
+        self.default_joint_pos = self.setting("default_joint_pos", layout.default_joint_pos.expand(n, joints).clone())
+        self.default_joint_vel = self.setting("default_joint_vel", layout.default_joint_vel.expand(n, joints).clone())
+        self.joint_pos_limits = self.setting("joint_pos_limits", layout.joint_pos_limits.expand(n, joints, 2).clone())
+        soft_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
+        self.soft_joint_pos_limits = self.setting("soft_joint_pos_limits", soft_limits)
+        velocity_limits = layout.velocity_limits.expand(n, joints).clone()
+        self.soft_joint_vel_limits = self.setting("soft_joint_vel_limits", velocity_limits)
+        self.joint_effort_limits = self.setting("joint_effort_limits", layout.effort_limits.expand(n, joints).clone())
+        self.encoder_bias = self.setting("encoder_bias", torch.zeros(n, joints, device=device))
         self.has_encoder_bias = False
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
         self._gravity_dir = torch.nn.functional.normalize(gravity, dim=0)
-        self.imu_tilt = torch.eye(3, device=device).expand(n, 3, 3).clone()
-        self.gyro_bias = torch.zeros(n, 3, device=device)
-        self.gravity_dir_w = self._gravity_dir.expand(n, 3).clone()
+        self.imu_tilt = self.setting("imu_tilt", torch.eye(3, device=device).expand(n, 3, 3).clone())
+        self.gyro_bias = self.setting("gyro_bias", torch.zeros(n, 3, device=device))
+        self.gravity_dir_w = self.setting("gravity_dir_w", self._gravity_dir.expand(n, 3).clone())
         self.has_imu_errors = False
-        self._torque_valid = torch.zeros(n, 1, device=device)
-        self._all_valid = False
-        self._applied_torque = torch.zeros(n, joints, device=device)
+        self._torque_valid = self.buffer("_torque_valid", torch.zeros(n, 1, device=device))
+        self._all_valid = self.number("_all_valid", False, saved=False)
+        self._applied_torque = self.buffer("_applied_torque", torch.zeros(n, joints, device=device))
         # Call ``view`` before the first physics step, because a new view contains zeros until the next physics step.
         sim.view("actuator_force")
 
@@ -129,10 +127,6 @@ class RobotData(Kept):
         self._applied_torque = self._applied_torque.index_fill(0, ids, 0.0)
         self.invalidate()
 
-    def settings(self) -> dict[str, torch.Tensor]:
-        """Return the tensors of the robot's parameters, such as gains and masses, which events can change."""
-        return {name: getattr(self, name) for name in _SETTINGS}
-
     def _model(self, name: str) -> torch.Tensor:
         """Return the present values of a model field in each simulation, (N, ...), read-only."""
         if name in self._sim.expanded:
@@ -149,17 +143,9 @@ class RobotData(Kept):
         """Store the present positions and velocities, from which the next control step starts, for failure reports."""
         self.motion_at_start.copy_(self._sim.motion)
 
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the stored positions and velocities of the robot at the start of the last physics step."""
-        names = ("motion_before", "torque_valid", "applied_torque")
-        return {name: getattr(self, f"_{name}").clone() for name in names}
-
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self._motion_before.copy_(saved["motion_before"])
-        self._torque_valid.copy_(saved["torque_valid"])
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        super().load_state_dict(saved)
         self._all_valid = bool(self._torque_valid.all())
-        self._applied_torque = saved["applied_torque"].clone()
         self.invalidate()
 
     joint_pos_target = alias_of("_targets.pos", "Position targets, rad, (N, J).")

@@ -16,12 +16,12 @@ from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.names import order_errors, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.terrain import GROUND_GROUP, is_ground
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 _ROUNDING = 0.01  # rad or m
 
 
-class RobotLayout(Kept):
+class RobotLayout:
     """The robot's joints, bodies, defaults, and limits; raise ConfigError if ``env.robot`` does not fit the robot."""
 
     def __init__(self, options: RobotOptions, spec: mujoco.MjSpec, root_name: str, device: torch.device) -> None:
@@ -105,21 +105,16 @@ def soft_limits(limits: torch.Tensor, factor: float) -> torch.Tensor:
 
 
 @dataclass
-class JointTargets(Kept):
+class JointTargets(Stateful):
     """Targets of every joint in the robot's order, (N, J): positions, rad, velocities, rad/s, and efforts, N·m."""
 
     pos: torch.Tensor
     vel: torch.Tensor
     effort: torch.Tensor
 
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the targets."""
-        return {f"joint_{name}_target": value.clone() for name, value in vars(self).items()}
-
-    def load_state_dict(self, saved: dict[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for name, value in vars(self).items():
-            value.copy_(saved[f"joint_{name}_target"])
+    def __post_init__(self) -> None:
+        for name in ("pos", "vel", "effort"):
+            self.buffer(name, getattr(self, name))
 
 
 _ROBOT_GROUP = 1  # Robot geoms must not be in the ground's geom group, and move to geom group 1.

@@ -17,7 +17,7 @@ from wheelleg_exp.sim.ids import Ids, chosen, columns
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.options import RobotOptions
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout, soft_limits
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 _PHYSX = "MuJoCo has no PhysX view; read from data, write with write_..._to_sim, env.scene.sim is the engine"
 _TENDONS = "a robot's tendons are not driven here"
@@ -32,7 +32,7 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
     | {f"set_fixed_tendon_{part}": _TENDONS for part in ("position_limit", "rest_length", "limit")}
     | {f"write_{kind}_tendon_properties_to_sim": _TENDONS for kind in ("fixed", "spatial")}
 )
-class RobotWriters(Kept):
+class RobotWriters(Stateful):
     """Methods that find joints and bodies, write the robot's state and parameters, and set joint targets.
 
     Indices are tensors, lists or slices; None means all environments or all joints. Poses and velocities are in world

@@ -24,7 +24,7 @@ from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
 from wheelleg_exp.sim.robot_model import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase, require_base_called
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, combined_friction, is_ground
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_errors import blamed
 
 RobotState = Mapping[str, Mapping[str, Mapping[str, torch.Tensor]]]
@@ -32,15 +32,13 @@ _ROBOT_PRIORITY = 1
 _FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a model skips its fields of file paths.
 
 
-class Scene(Kept):
+class Scene(Stateful):
     """The ground, the robot and the sensors of N environments.
 
     Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
     is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` is a function that returns a
     random generator for a config key.
     """
-
-    outside_graphs = ("_compiled", "spec", "options", "_sim_options")
 
     def __init__(
         self,
@@ -56,7 +54,7 @@ class Scene(Kept):
     ) -> None:
         self.num_envs = num_envs
         self.options = scene
-        self.terrain = terrain
+        self.terrain = self.child("terrain", terrain)
         self.device = torch.device(sim.device)
         spec, root_name = read_robot(mjcf)
         if robot.root_frame is not None:
@@ -72,7 +70,7 @@ class Scene(Kept):
             terrain.read_files(mjcf.parent)
             terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
             terrain.lay(spec)
-        self.env_origins = terrain.env_origins
+        self.env_origins = self.buffer("env_origins", terrain.env_origins)
         leave_group_to_ground(spec)
         # In each contact of robot and ground, PhysX combines the two friction coefficients.
         # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
@@ -84,8 +82,8 @@ class Scene(Kept):
         for name, actuator in actuators.items():
             with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
                 actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)
-        self.robot = Robot(robot, actuators, spec, root_name, self.device)
-        self.sensors = dict(sensors)
+        self.robot = self.child("robot", Robot(robot, actuators, spec, root_name, self.device))
+        self.sensors = self.child("sensors", dict(sensors))
         for name, sensor in self.sensors.items():
             sensor.name, sensor.terrain = name, terrain
             with blamed(sensor.key, sensor):
@@ -112,8 +110,10 @@ class Scene(Kept):
             self.sim = PhysxEngine(self.model, self.num_envs, options.nthread, usd, self.robot.options)
         else:
             self.sim = BatchEngine(self.model, self.num_envs, options.nthread)
+        self.child("sim", self.sim, saved=False)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
-        self._unstable: torch.Tensor | None = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        unstable = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self._unstable: torch.Tensor | None = self.buffer("_unstable", unstable, saved=False)
         self.robot.connect(self.sim, self._stream)
         for sensor in self.sensors.values():
             with blamed(sensor.key, sensor):
@@ -283,24 +283,12 @@ class Scene(Kept):
                     sensor.refresh(ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the saved state of the physics engine, the robot and the sensors."""
-        return {
-            "sim": self.sim.state_dict(),
-            "robot": self.robot.state_dict(),
-            "sensors": {name: sensor.state_dict() for name, sensor in self.sensors.items()},
-            "env_origins": self.env_origins.clone(),
-            **({"terrain": terrain} if (terrain := self.terrain.state_dict()) else {}),
-        }
+        return {"sim": self.sim.state_dict(), **super().state_dict()}
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         self.sim.load_state_dict(saved["sim"])
         self._unstable = self.sim.unstable()
-        self.robot.load_state_dict(saved["robot"])
-        for name, sensor in self.sensors.items():
-            sensor.load_state_dict(saved["sensors"][name])
-        self.env_origins.copy_(saved["env_origins"])
-        self.terrain.load_state_dict(saved.get("terrain", {}))
+        super().load_state_dict(saved)
 
 
 def model_digest(model: mujoco.MjModel) -> str:

@@ -1,36 +1,30 @@
-"""State of objects between steps: find, save, and restore it, or reject it by name.
+"""Declared state: what outlives a control step, saved in checkpoints, restored, reset, and captured by declaration.
 
-| name | purpose |
+| module | purpose |
 |---|---|
-| `Stateful` | base class whose attributes are its state |
-| `made`, `save`, `restore`, `stateful` | the same for objects of any class |
-| `Settings` | settings of a term, which are state once they have changed |
-| `Kept`, `NamedStream` | objects that another part saves, so that a reference to them is not state |
-| `Outside` | changes that a term makes outside its own attributes: rejected by name |
-| `Memory` | tensors of two objects that share memory: rejected by name |
-| `merged` | a state dict with some environments from one state and the remaining ones from another |
-| module `object_graph` | the walk over objects, which graph capture uses as well |
+| `stateful` | the base class `Stateful`, which declares buffers, numbers, settings, and children |
+| `settings` | parameters of terms, which checkpoints contain once a curriculum has changed them |
+| `values` | copies, comparisons, and conversions of tensors and plain values |
+| `undeclared` | finds values that change between steps and are not declared |
+| `old_layout` | converts the environment's state in checkpoints of format version 2 |
 """
 
-from wheelleg_exp.state.saved_values import Kept, NamedStream, cloned, on_device, same
-from wheelleg_exp.state.stateful import Settings, Stateful, adopt, made, restore, save, stateful
-from wheelleg_exp.state.tensor_trees import merged
-from wheelleg_exp.state.unsaved_state import Memory, Outside
+from wheelleg_exp.state.settings import Settings
+from wheelleg_exp.state.stateful import Stateful, adopt, register_undeclared, restore, save, tree
+from wheelleg_exp.state.values import NamedStream, cloned, host_copy, merged, on_device, same
 
 __all__ = [
-    "Kept",
-    "Memory",
     "NamedStream",
-    "Outside",
     "Settings",
     "Stateful",
     "adopt",
     "cloned",
-    "made",
+    "host_copy",
     "merged",
     "on_device",
+    "register_undeclared",
     "restore",
     "same",
     "save",
-    "stateful",
+    "tree",
 ]

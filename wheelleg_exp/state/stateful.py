@@ -1,39 +1,91 @@
-"""Save and restore attributes of objects, and settings of manager terms that changed after the terms' construction.
+"""Declare the values of an object that outlive a control step; save, restore, and reset them by these declarations.
 
-A checkpoint contains all tensor attributes of an object, except those that its class lists in ``settings``. Other
-attributes, such as numbers, are saved only if their value has changed since the object's construction. If the user has
-changed a config value after saving a checkpoint, restoring the checkpoint keeps the new value.
+```python
+class mean_speed(TermBase):
+    def __init__(self, env):
+        self.sum = self.buffer("sum", torch.zeros(env.num_envs), fill=0.0)
+        self.calls = self.number("calls", 0)
+```
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import Any, ClassVar, NamedTuple
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
 
+import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.state.saved_values import NOTHING, Unsaveable, checkpoint_value, restored_value, same, snapshot
+from wheelleg_exp.sim.ids import fill_rows
+from wheelleg_exp.state.values import PLAIN, NamedStream, Unsaveable, encoded, is_saving, restored, same, writes_into
 
-_BASE = "_state_when_made"
-_TENSOR = "a tensor"  # ``made`` stores this text in place of tensors, because every checkpoint contains them.
+T = TypeVar("T")
+Kind = Literal["buffer", "number", "setting", "part"]
+_PACKAGE = __name__.partition(".")[0]
+_DECLARED = "_declared"  # the attribute with the declarations of an object
 
 
-class _Base(NamedTuple):
-    values: dict[str, Any]
-    key: str | None
+@dataclass(frozen=True)
+class Declaration:
+    """What an object has declared about one of its attributes.
+
+    Attributes:
+        kind: buffer, number, setting, or part; see ``Stateful``.
+        initial: an encoded copy of the first value; None for buffers and parts.
+        saved: whether checkpoints contain the attribute.
+        fill: the number to which a reset sets the rows of a buffer; None if a reset does not change the buffer.
+        is_automatic: whether ``register_undeclared`` registered the attribute, because its class does not declare it.
+    """
+
+    kind: Kind
+    initial: object = None
+    saved: bool = True
+    fill: float | None = None
+    is_automatic: bool = False
 
 
 class Stateful:
-    """Base class of objects that save and restore their own attributes as their state.
+    """Base class of objects with state: terms, sensors, actuators, managers, and their parts.
 
-    ``settings`` lists tensor attributes that come from the config and are saved only if their value has changed.
+    Whatever a later control step reads must be declared, or be the same in every step:
+
+    - ``buffer``: a tensor, or a list or dictionary of tensors. Change it in place, or assign one of the same shape.
+    - ``number``: a plain value that changes, such as a count or a flag.
+    - ``setting``: a value from the config that events or curricula can change. It is saved only once it has changed, so
+      that a resumed run uses a new value from the config.
+    - ``child``: an object with state of its own, or a list or dictionary of such objects.
+
+    Each of these methods assigns the value to the attribute ``name``, and returns it. ``saved=False`` declares a value
+    that changes within a step, but does not outlive it: checkpoints omit it, and CUDA graphs use it.
     """
 
-    settings: ClassVar[tuple[str, ...]] = ()
+    def buffer(self, name: str, value: T, *, saved: bool = True, fill: float | None = None) -> T:
+        """Declare a tensor; ``fill`` is the number to which ``reset_rows`` sets the rows of reset environments."""
+        return _declare(self, name, value, Declaration("buffer", None, saved, fill))
+
+    def number(self, name: str, value: T, *, saved: bool = True) -> T:
+        """Declare a number, a text, None, a generator, or lists and dictionaries of these."""
+        return _declare(self, name, value, Declaration("number", encoded(value) if saved else None, saved))
+
+    def setting(self, name: str, value: T) -> T:
+        """Declare a tensor or plain value from the config that events or curricula can change."""
+        return _declare(self, name, value, Declaration("setting", encoded(value)))
+
+    def child(self, name: str, value: T, *, saved: bool = True) -> T:
+        """Declare an object with state, or a list or dictionary of such objects; None means no object."""
+        return _declare(self, name, value, Declaration("part", None, saved))
+
+    def reset_rows(self, env_ids: torch.Tensor) -> None:
+        """Set the rows ``env_ids`` of all buffers that have a ``fill`` to this number."""
+        for name, declared in declarations(self).items():
+            if declared.fill is not None:
+                fill_rows(getattr(self, name), env_ids, declared.fill)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all values of the object that later control steps depend on."""
+        """Return copies of all declared values that later control steps depend on."""
         return save(self)
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -41,146 +93,123 @@ class Stateful:
         restore(self, saved)
 
 
-def made(value: Any, key: str | None = None) -> None:
-    """Record an object's present attributes as its initial state; raise ConfigError if an attribute cannot be saved."""
-    try:
-        if any(vars(kind).get("__slots__") for kind in type(value).__mro__):
-            raise Unsaveable("__slots__", value)
-        seen = {name: snapshot(item, name) for name, item in attributes(value).items()}
-    except (Unsaveable, RecursionError) as error:
-        raise refusal(value, error, key) from error
-    always = {name for name, item in seen.items() if isinstance(item, torch.Tensor) and name not in _settings(value)}
-    vars(value)[_BASE] = _Base({n: _TENSOR if n in always else item for n, item in seen.items()}, key)
+def _declare(owner: object, name: str, value: T, declared: Declaration) -> T:
+    vars(owner).setdefault(_DECLARED, {})[name] = declared
+    setattr(owner, name, value)
+    return value
 
 
-def save(value: Any) -> dict[str, Any]:
-    """Return an object's state as tensors, numbers, and strings; raise ConfigError if an attribute cannot be saved."""
-    if _BASE not in vars(value):
-        made(value)
-    base, key = vars(value)[_BASE]
-    settings, found = _settings(value), {}
-    try:
-        for name, item in attributes(value).items():
-            now, before = snapshot(item, name), base.get(name, NOTHING)
-            if (isinstance(now, torch.Tensor) and name not in settings) or not same(now, before):
-                found[name] = checkpoint_value(now, before, name)
-        for name in base.keys() - vars(value).keys():
-            raise Unsaveable(name, NOTHING, "an attribute that was deleted")
-    except (Unsaveable, RecursionError) as error:
-        raise refusal(value, error, key) from error
+def declarations(owner: object) -> dict[str, Declaration]:
+    """Return what an object has declared, by the names of its attributes."""
+    found: dict[str, Declaration] = getattr(owner, "__dict__", {}).get(_DECLARED, {})
     return found
 
 
-def restore(value: Any, saved: Mapping[str, Any]) -> None:
-    """Restore the object state ``saved``; the attributes that ``saved`` does not contain get their initial values."""
-    if _BASE not in vars(value):
-        made(value)
-    base, held = vars(value)[_BASE].values, attributes(value)
-    for name in held.keys() - base.keys() - saved.keys():
-        delattr(value, name)
-    unchanged = {name: item for name, item in base.items() if name not in saved and item is not _TENSOR}
-    for name, item in {**unchanged, **saved}.items():
-        present = held.get(name)
-        if name in saved or not same(snapshot(present, name), item):
-            vars(value)[name] = restored_value(item, present)
+def parts(owner: object) -> Iterator[tuple[str, str | int | None, Any]]:
+    """Yield the parts of an object: the attribute, the key or index in its dictionary or list, and the part."""
+    for name, declared in declarations(owner).items():
+        if declared.kind == "part":
+            value = getattr(owner, name)
+            if isinstance(value, Mapping):
+                for key, item in value.items():
+                    inner = item.items() if isinstance(item, Mapping) else [(None, item)]
+                    yield from ((name, key if own is None else f"{key}.{own}", each) for own, each in inner)
+            elif isinstance(value, (list, tuple)):
+                yield from ((name, index, item) for index, item in enumerate(value))
+            elif value is not None:
+                yield name, None, value
 
 
-def adopt(value: Stateful, made_anew: Stateful, key: str) -> None:
-    """Copy the settings of the object ``made_anew`` to ``value``; keep the state and tensor addresses of ``value``."""
+def tree(owner: object, path: str = "env") -> Iterator[tuple[str, Any]]:
+    """Yield an object and, recursively, all its parts, each with its config key, or a path of attributes."""
+    yield path, owner
+    for name, key, item in parts(owner):
+        own = path if name == "func" else f"{path}.{name.strip('_')}"
+        own += "" if key is None else f".{key}" if isinstance(key, str) else f"[{key}]"
+        yield from tree(item, getattr(item, "path", None) or own)
+
+
+def save(owner: object) -> dict[str, Any]:
+    """Return an object's state as tensors and plain values, by attribute; parts give nested dictionaries."""
+    found: dict[str, Any] = {}
+    for name, declared in declarations(owner).items():
+        if declared.saved and declared.kind != "part":
+            value = getattr(owner, name)
+            try:
+                # A new object has nothing into which the state of a network or a generator could be restored.
+                if type(declared.initial) in PLAIN and declared.kind == "number" and writes_into(value):
+                    raise Unsaveable(value)
+                now = encoded(value)
+            except Unsaveable as error:
+                message = f"'{name}' of '{type(owner).__qualname__}' is {error}, which checkpoints cannot contain"
+                expected = "tensors, numbers, texts, and lists and dictionaries of these"
+                raise ConfigError(message, key=getattr(owner, "path", None), expected=expected) from error
+            if declared.kind == "buffer" or not same(now, declared.initial):
+                found[name] = now
+    for name, key, item in parts(owner):
+        if declarations(owner)[name].saved:
+            state = item.state_dict() if is_saving(item) else save(item)
+            if key is None:
+                found[name] = state
+            else:
+                found.setdefault(name, {})[key] = state
+    return found
+
+
+def restore(owner: object, saved: Mapping[str, Any]) -> None:
+    """Restore what ``save`` returned; numbers and settings that ``saved`` lacks get their initial values."""
+    for name, declared in declarations(owner).items():
+        if declared.saved and declared.kind != "part" and (name in saved or declared.kind != "buffer"):
+            present = getattr(owner, name)
+            setattr(owner, name, restored(saved.get(name, declared.initial), present))
+    for name, key, item in parts(owner):
+        state = saved.get(name, {}) if key is None else saved.get(name, {}).get(key)
+        if declarations(owner)[name].saved and state is not None:
+            item.load_state_dict(state) if is_saving(item) else restore(item, state)
+
+
+def adopt(value: Stateful, fresh: Stateful) -> None:
+    """Copy the settings of the object ``fresh`` to ``value``; keep the state and tensor addresses of ``value``."""
     state = value.state_dict()
-    for name, item in attributes(made_anew).items():
-        vars(value)[name] = restored_value(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
-    made(value, key)
+    for name, item in vars(fresh).items():
+        present = vars(value).get(name)
+        vars(value)[name] = restored(item, present) if isinstance(item, torch.Tensor) else item
+    register_undeclared(value)
     value.load_state_dict(state)
 
 
-def attributes(value: Any) -> dict[str, Any]:
-    """Return the instance attributes of an object by name."""
-    return {name: item for name, item in vars(value).items() if name != _BASE}
+def register_undeclared(owner: object, owned: frozenset[int] = frozenset()) -> None:
+    """Declare the tensors and plain values that the class of an object assigned but did not declare.
 
-
-def _settings(value: Any) -> tuple[str, ...]:
-    return getattr(type(value), "settings", ())
-
-
-def refusal(value: Any, error: Exception, key: str | None) -> ConfigError:
-    """Return the error for an object whose state cannot be saved."""
-    why = "points back at itself" if isinstance(error, RecursionError) else str(error)
-    message = f"'{type(value).__qualname__}' {why}, whose state cannot be saved, so that a resumed run would differ"
-    expected = "tensors, arrays, numbers, text, generators, lists and dictionaries of these (a list and the place in "
-    expected += "it instead of an iterator), or objects with state_dict and load_state_dict of their own"
-    return ConfigError(message, key=key, expected=expected)
-
-
-class _Attributes:
-    """Saves and restores the attributes of an object that has no method ``state_dict``."""
-
-    def __init__(self, value: Any, key: str) -> None:
-        self._value = value
-        if value is not None:
-            made(value, key)
-
-    def state_dict(self) -> dict[str, Any]:
-        return {} if self._value is None else save(self._value)
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        if self._value is not None:
-            restore(self._value, saved)
-
-
-def stateful(value: Any, key: str) -> Any:
-    """Return an object that saves and restores ``value``: the value itself if it has ``state_dict``."""
-    return value if hasattr(value, "state_dict") and hasattr(value, "load_state_dict") else _Attributes(value, key)
-
-
-class Settings:
-    """Config values of a manager term, which checkpoints store if a curriculum or other code has changed them.
-
-    Each changed setting, such as a reward weight, is saved together with its value from the config. If the user has
-    changed a setting in the config of a resumed run, the saved setting is not restored. ``groups`` maps each group's
-    name to a dictionary of setting names and values. ``skip`` names the settings to omit, whose values are objects that
-    save their own state.
+    Only attributes of user-defined classes are registered, for classes that were written before declarations existed,
+    and of plain objects such as dataclasses of noise. ``owned`` has the ids of objects that other objects own, such as
+    the robot: references to them are not state.
     """
-
-    def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
-        self._groups, self._key, self._skip = dict(groups), key, frozenset(skip)
-        self._base = self._snapshots()
-
-    def _snapshots(self) -> dict[str, dict[str, Any]]:
-        try:
-            own = {g: {n: v for n, v in values.items() if n not in self._skip} for g, values in self._groups.items()}
-            return {group: {name: snapshot(v, name) for name, v in values.items()} for group, values in own.items()}
-        except Unsaveable as error:
-            raise ConfigError(f"checkpoints cannot save a term's setting, because it {error}", key=self._key) from error
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return each changed setting's present value and its value from the config, by group and name."""
-        found: dict[str, Any] = {}
-        for group, values in self._snapshots().items():
-            for name, now in values.items():
-                was = self._base[group].get(name, NOTHING)
-                if same(now, was):
-                    continue
-                try:
-                    change = {"was": _written(None if was is NOTHING else was), "now": checkpoint_value(now, was, name)}
-                except Unsaveable as error:
-                    message = f"checkpoints cannot save a term's changed setting, because it {error}"
-                    raise ConfigError(message, key=self._key) from error
-                found.setdefault(group, {})[name] = change
-        return found
-
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore the changed settings that ``state_dict`` returned; reset other settings to the config's values."""
-        for group, values in self._groups.items():
-            changes, base = saved.get(group, {}), self._base[group]
-            for name in list(values.keys() - base.keys() - changes.keys() - self._skip):
-                del values[name]
-            for name in [*base, *(n for n in changes if n not in base)]:
-                change, own = changes.get(name), base.get(name)
-                wanted = change["now"] if change is not None and same(change["was"], _written(own)) else own
-                if not same(snapshot(values.get(name), name), wanted):
-                    values[name] = restored_value(wanted, values.get(name))
+    if isinstance(owner, Stateful) and type(owner).__module__.partition(".")[0] == _PACKAGE:
+        return
+    for name, value in vars(owner).copy().items():
+        if name == _DECLARED or name in declarations(owner) or not _is_registrable(value, owned):
+            continue
+        if isinstance(value, torch.Tensor):
+            declared = Declaration("buffer", is_automatic=True)
+        elif isinstance(value, Stateful):
+            declared = Declaration("part", is_automatic=True)
+        else:
+            declared = Declaration("number", encoded(value), is_automatic=True)
+        _declare(owner, name, value, declared)
 
 
-def _written(seen: Any) -> Any:
-    return checkpoint_value(seen, seen, "")
+def _is_registrable(value: object, owned: frozenset[int]) -> bool:
+    if isinstance(value, (list, tuple, set, frozenset, deque)):
+        return all(_is_registrable(item, owned) for item in value)
+    if isinstance(value, dict):
+        return all(_is_registrable(item, owned) for pair in value.items() for item in pair)
+    if id(value) in owned or isinstance(value, NamedStream):
+        return False
+    if isinstance(value, Stateful):
+        register_undeclared(value, owned)
+        return True
+    try:
+        return type(value) in PLAIN or isinstance(value, np.generic) or encoded(value) is not None
+    except Unsaveable:
+        return False

@@ -27,7 +27,8 @@ class CircularBuffer(Stateful):
             raise ValueError(f"max_len is {max_len}, expected at least 1")
         self.max_length, self.batch_size, self.device = max_len, batch_size, device
         self._count = torch.zeros(batch_size, dtype=torch.long, device=device)
-        self._samples: torch.Tensor | None = None
+        Stateful.buffer(self, "_count", self._count)
+        self._samples: torch.Tensor | None = Stateful.buffer(self, "_samples", None)
 
     @property
     def current_length(self) -> torch.Tensor:
@@ -35,7 +36,7 @@ class CircularBuffer(Stateful):
         return self._count.clamp(max=self.max_length)
 
     @property
-    def buffer(self) -> torch.Tensor:
+    def buffer(self) -> torch.Tensor:  # type: ignore[override]  # Isaac Lab's name
         """The samples, oldest first, (N, max_length, ...)."""
         if self._samples is None:
             raise RuntimeError("the buffer is empty: call append first")
@@ -87,8 +88,8 @@ class DelayBuffer(Stateful):
 
     def __init__(self, history_length: int, batch_size: int, device: torch.device | str) -> None:
         self.history_length, self.batch_size, self.device = max(0, history_length), batch_size, device
-        self._buffer = CircularBuffer(self.history_length + 1, batch_size, device)
-        self.time_lags = torch.zeros(batch_size, dtype=torch.int, device=device)
+        self._buffer = self.child("_buffer", CircularBuffer(self.history_length + 1, batch_size, device))
+        self.time_lags = self.buffer("time_lags", torch.zeros(batch_size, dtype=torch.int, device=device))
 
     @property
     def min_time_lag(self) -> int:

@@ -62,7 +62,6 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
-from wheelleg_exp.state.saved_values import restored_value
 from wheelleg_exp.terms.config_sections import plain_section
 
 _BIAS = "wheelleg_exp.mdp.events.randomize_encoder_bias"
@@ -276,7 +275,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
         term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
         changed = (term.get("object") or {}).get("ranges")
-        found[name] = ranges if changed is None else restored_value(changed)
+        found[name] = ranges if changed is None else changed
     return found
 
 

@@ -53,6 +53,8 @@ def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float 
     trainer.load_state_dict(own)
     if learning_rate is not None:
         trainer.set_learning_rate(learning_rate)
+    if own["format_version"] != checkpoint.FORMAT_VERSION:
+        return []  # Digests of the state in another layout differ.
     wanted = digests.of_state(own if trainer.average.is_on else policy_average.without_average(own))
     found = digests.of_state(trainer.state_dict())
     lost = [name for name in wanted if wanted[name] != found.get(name)]

@@ -19,7 +19,7 @@ from wheelleg_exp.rendering.live_pictures import LivePictures
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.renderer import NoGraphics
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 _FILM_SIZE_PX = (640, 360)
 _MAX_FPS = 30.0  # A video shows every n-th control step, with at most about 30 pictures per second.

@@ -58,9 +58,10 @@ class RangedCommand(CommandTerm):
     def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
         """Store the ranges [low, high] of the command's axes; an axis without a range gets the value 0."""
         self._axes = tuple(axes)
-        self.ranges = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
+        present = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
+        self.ranges = self.setting("ranges", present)
         with torch.inference_mode(False):  # Tensors made in inference mode cannot be changed in place.
-            self._bounds = self._present()
+            self._bounds = self.number("_bounds", self._present(), saved=False)
         self._note()
 
     def bounds(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -79,7 +80,8 @@ class RangedCommand(CommandTerm):
         return bounds(self.ranges, self._axes, "ranges", self.time_left.device)
 
     def _note(self) -> None:
-        self._taken = {axis: list(pair) for axis, pair in self.ranges.items()}
+        taken = {axis: list(pair) for axis, pair in self.ranges.items()}
+        self._taken = self.number("_taken", taken, saved=False)
 
 
 class NullCommand(CommandTerm):

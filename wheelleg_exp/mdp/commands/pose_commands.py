@@ -57,9 +57,9 @@ class UniformPose2dCommand(RangedCommand):
         self.take_ranges(ranges, get_args(_Place))
         self._simple_heading = simple_heading
         n, device = env.num_envs, env.device
-        self.pos_command_w = torch.zeros(n, 3, device=device)
-        self.heading_command_w = torch.zeros(n, device=device)
-        self._command = torch.zeros(n, 4, device=device)
+        self.pos_command_w = self.buffer("pos_command_w", torch.zeros(n, 3, device=device))
+        self.heading_command_w = self.buffer("heading_command_w", torch.zeros(n, device=device))
+        self._command = self.buffer("_command", torch.zeros(n, 4, device=device))
 
     @property
     def command(self) -> torch.Tensor:
@@ -177,7 +177,7 @@ class UniformPoseCommand(RangedCommand):
         self._body, self.body_name = found[0], names[0]
         self.take_ranges(ranges, get_args(_Pose))
         self._unique = make_quat_unique
-        self.pose_command_b = torch.zeros(env.num_envs, 7, device=env.device)
+        self.pose_command_b = self.buffer("pose_command_b", torch.zeros(env.num_envs, 7, device=env.device))
         self.pose_command_b[:, 3] = 1.0
 
     @property
@@ -238,7 +238,7 @@ class UniformBasePoseCommand(RangedCommand):
         super().__init__(env, resampling_time_range, [f"error_{axis}" for axis in get_args(_Axis)], generator)
         self.robot = member(env.scene, asset_name, "asset_name")
         self.take_ranges(ranges, get_args(_Axis))
-        self._command = torch.zeros(env.num_envs, 3, device=env.device)
+        self._command = self.buffer("_command", torch.zeros(env.num_envs, 3, device=env.device))
 
     @property
     def command(self) -> torch.Tensor:
@@ -301,8 +301,9 @@ class JumpCommand(CommandTerm):
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
         self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
-        self.is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-        self._command = torch.zeros(env.num_envs, 1, device=env.device)
+        is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
+        self._command = self.buffer("_command", torch.zeros(env.num_envs, 1, device=env.device))
 
     @property
     def command(self) -> torch.Tensor:

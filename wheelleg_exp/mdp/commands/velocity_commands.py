@@ -63,15 +63,16 @@ class UniformVelocityCommand(RangedCommand):
         if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         self.take_ranges(ranges, get_args(VelocityAxis))
-        self.limit_ranges = {axis: list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
+        limits = {axis: list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
+        self.limit_ranges = self.setting("limit_ranges", limits)
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness
         n, device = env.num_envs, env.device
-        self._command = torch.zeros(n, 3, device=device)
-        self.heading_target = torch.zeros(n, device=device)
-        self.is_heading_env = torch.zeros(n, dtype=torch.bool, device=device)
-        self.is_standing_env = torch.zeros(n, dtype=torch.bool, device=device)
+        self._command = self.buffer("_command", torch.zeros(n, 3, device=device))
+        self.heading_target = self.buffer("heading_target", torch.zeros(n, device=device))
+        self.is_heading_env = self.buffer("is_heading_env", torch.zeros(n, dtype=torch.bool, device=device))
+        self.is_standing_env = self.buffer("is_standing_env", torch.zeros(n, dtype=torch.bool, device=device))
 
     @property
     def command(self) -> torch.Tensor:
@@ -152,7 +153,8 @@ class NormalVelocityCommand(UniformVelocityCommand):
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
         # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
-        self.is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
+        is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
+        self.is_zero_vel_env = self.buffer("is_zero_vel_env", is_zero_vel_env)
 
     def draw(self, env_ids: torch.Tensor) -> None:
         device, mean, std, zero = self._command.device, *self._moments
@@ -222,8 +224,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         signs = rolling_signs(env.scene.sim.model, self._wheels, wheel_cfg.joint_ids)
         self.wheel_signs = tuple(signs)
         self._signs = (torch.tensor(signs, device=env.device),)
-        self.travel_error = torch.zeros(env.num_envs, 2, device=env.device)
-        self._asked = torch.zeros(env.num_envs, 3, device=env.device)
+        self.travel_error = self.buffer("travel_error", torch.zeros(env.num_envs, 2, device=env.device))
+        self._asked = self.buffer("_asked", torch.zeros(env.num_envs, 3, device=env.device))
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
         # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.

@@ -11,7 +11,6 @@ from wheelleg_exp.constraints import Interval, NonNegativeInterval, PositiveInte
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase, bounds
 from wheelleg_exp.mdp.events.randomization import POSE, PoseRange, all_ids
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.ids import fill_rows
 
 _ROBOT = SceneEntityCfg("robot")
 
@@ -60,7 +59,6 @@ class push_by_adding_velocity(TermBase):
     """
 
     adds = True
-    settings = ("_low", "_high")
 
     def __init__(
         self,
@@ -118,8 +116,6 @@ class apply_body_impulse(TermBase):
         asset_cfg: the robot and its bodies.
     """
 
-    settings = ("_lows", "_spans")
-
     def __init__(
         self,
         env: Env,
@@ -136,9 +132,10 @@ class apply_body_impulse(TermBase):
         low, high = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device).T
         self._lows, self._spans = low, high - low
         self._generator = generator
-        self._time_left = torch.zeros(env.num_envs, device=env.device)
-        self._is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
-        self._push = torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device)
+        self._time_left = self.buffer("_time_left", torch.zeros(env.num_envs, device=env.device))
+        is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+        self._is_pushed = self.buffer("_is_pushed", is_pushed, fill=False)
+        self._push = self.buffer("_push", torch.zeros(env.num_envs, len(bodies), 3, 2, device=env.device), fill=0.0)
         self._robot.add_wrench(self._bodies, self._push)  # CUDA graphs only push bodies that are already registered.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
@@ -148,8 +145,7 @@ class apply_body_impulse(TermBase):
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Start a pause before the next push in ``env_ids``; the robot's reset has already removed the old push."""
-        fill_rows(self._is_pushed, env_ids, False)
-        fill_rows(self._push, env_ids, 0.0)
+        self.reset_rows(env_ids)
         self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:

@@ -114,7 +114,8 @@ class randomize_rigid_body_material(TermBase):
         pairs = (static_friction_range, dynamic_friction_range, restitution_range)
         ranges = torch.tensor(pairs, dtype=torch.float32, device=env.device)
         self._generator = generator
-        self.buckets = rotation.uniform(ranges[:, 0], ranges[:, 1], num_buckets, generator)
+        buckets = rotation.uniform(ranges[:, 0], ranges[:, 1], num_buckets, generator)
+        self.buckets = self.buffer("buckets", buckets)
         if make_consistent:
             self.buckets[:, 1] = torch.minimum(self.buckets[:, 0], self.buckets[:, 1])
         robot = env.scene[asset_cfg.name]
@@ -122,7 +123,8 @@ class randomize_rigid_body_material(TermBase):
         source = robot.options.friction_source
         self._column = 0 if source == "static" else 1
         self._ground, self._mode = env.scene.terrain.friction(source), robot.options.friction_combine_mode
-        self.materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
+        materials = torch.zeros(env.num_envs, len(self._geom_ids), 3, device=env.device)
+        self.materials = self.buffer("materials", materials)
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids = all_ids(env, env_ids)
@@ -367,8 +369,6 @@ class randomize_imu_errors(TermBase):
         tilt_range: rotation of the IMU about its axes: ``roll``, ``pitch``, ``yaw``, rad.
         gyro_bias_range: [low, high], rad/s, drawn for each axis.
     """
-
-    settings = ("_low", "_high")
 
     def __init__(
         self,

@@ -31,8 +31,6 @@ class reset_root_state_uniform(TermBase):
         velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
-    settings = ("_low", "_high")
-
     def __init__(
         self,
         env: Env,
@@ -153,8 +151,6 @@ class reset_root_state_from_terrain(TermBase):
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
         velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
-
-    settings = ("_low", "_high")
 
     def __init__(
         self,

@@ -21,7 +21,7 @@ from wheelleg_exp.recording.writing.rerun_shapes import Columns, Contacts, Groun
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, is_plane
 from wheelleg_exp.sim.sensors import ContactSensor
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 StaticEntities = Iterator[tuple[str, list[rr.AsComponents]]]
 ROBOT = "robot"

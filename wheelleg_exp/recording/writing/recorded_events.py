@@ -17,7 +17,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.layout import EnvPaths
 from wheelleg_exp.recording.writing.recorded_frames import Stamp
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 EPISODES, EVENTS, RECORDING = "episodes", "events", "recording"
 _ITERATIONS_PER_CHUNK = 10

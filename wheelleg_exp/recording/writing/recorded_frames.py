@@ -18,7 +18,7 @@ from wheelleg_exp.mdp.commands import UniformVelocityCommand
 from wheelleg_exp.recording.layout import EnvPaths
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.sim.sensors import ContactSensor
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 Read = Callable[[], ArrayLike]
 VELOCITY_NAMES = ("v_x", "v_y", "w_z")

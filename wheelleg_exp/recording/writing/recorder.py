@@ -23,7 +23,7 @@ from wheelleg_exp.recording.writing.recorded_events import EventLog, TrainingSca
 from wheelleg_exp.recording.writing.recorded_frames import Stamp
 from wheelleg_exp.recording.writing.recording_file import RecordingFile
 from wheelleg_exp.recording.writing.resume_recording import EarlierRecording
-from wheelleg_exp.state.tensor_trees import host_copy
+from wheelleg_exp.state import host_copy
 
 # Write at least 16 frames together, because each data chunk of a recording has about 1.5 kB of metadata.
 ROWS_TOGETHER = 16

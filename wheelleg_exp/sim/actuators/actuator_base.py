@@ -36,7 +36,7 @@ Stream = Callable[[], torch.Generator]
 class ActuatorBase(Stateful):
     """Base class of actuator models; each actuator model drives one group of joints.
 
-    A checkpoint saves the tensors in an actuator's attributes. Each parameter of an actuator model is one number for
+    An actuator model with memory declares it (see ``Stateful``). Each parameter of an actuator model is one number for
     all joints, or a mapping from regular expressions of joint names to numbers. ``start`` converts ``stiffness``,
     ``damping``, ``effort_limit`` and ``velocity_limit`` to tensors (N, joints of the group).
 
@@ -55,8 +55,6 @@ class ActuatorBase(Stateful):
     """
 
     reads_state: ClassVar[bool] = True  # ``reads_state`` is False if controls depend only on joint targets.
-    outside_graphs: ClassVar = ("joint_names", "joint_names_expr", "_config", "_per_joint", "_delay_bounds")
-    settings: ClassVar[tuple[str, ...]] = ("joint_ids", *NEEDED)
 
     def __init__(
         self,
@@ -74,7 +72,7 @@ class ActuatorBase(Stateful):
         values = (stiffness, damping, effort_limit, velocity_limit, armature, friction, viscous_friction)
         self._config: dict[str, Any] = dict(zip((*NEEDED, *_MECHANICAL), values, strict=True))
         self._delay_bounds = delay
-        self.delay: TargetDelay | None = None
+        self.delay: TargetDelay | None = self.child("delay", None)
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
         """Read the actuator model's files from the robot's folder; this method is called before all other methods.
@@ -118,7 +116,7 @@ class ActuatorBase(Stateful):
     def start(self, shape: tuple[int, int], dt: float, stream: Stream) -> None:
         """Expand the parameters to (N, J) and allocate the actuator model's memory; ``dt`` is the physics step, s."""
         for name in NEEDED:
-            setattr(self, name, getattr(self, name).expand(shape[0], -1).clone())
+            self.setting(name, getattr(self, name).expand(shape[0], -1).clone())
         if self._delay_bounds is not None:
             self.delay = TargetDelay(self._delay_bounds, self.joint_ids, shape, stream())
         self.connect(shape[0], dt, stream)
@@ -136,7 +134,8 @@ class ActuatorBase(Stateful):
         self.reset(env_ids)
 
     def reset(self, env_ids: torch.Tensor) -> None:
-        """Clear the actuator model's memory (such as delayed targets) in the environments ``env_ids``."""
+        """Clear the actuator model's memory in the environments ``env_ids``; by default, fill its buffers."""
+        self.reset_rows(env_ids)
 
     def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         """Delay the joint targets, and return the resulting MuJoCo controls of the actuator group, (N, joints)."""

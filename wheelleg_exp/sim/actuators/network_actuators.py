@@ -26,7 +26,6 @@ from wheelleg_exp.sim.actuators.actuator_base import Delay, LimitPerJoint, PerJo
 from wheelleg_exp.sim.actuators.pd_actuators import DCMotor
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_model import JointTargets
-from wheelleg_exp.state import Kept
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot_data import RobotData
@@ -49,7 +48,7 @@ _RUNS_AT_LOADING = b"__setstate__"
 _TRIED: set[tuple[str, bytes]] = set()  # files and settings of the networks that this process has tried
 
 
-class Network(Kept):
+class Network:
     """A neural network with constant weights, loaded from a TorchScript file.
 
     A TorchScript file can contain code that reads and writes files, even while torch loads the file. The constructor
@@ -176,8 +175,6 @@ class ActuatorNetMLP(ActuatorNet):
         input_idx: ages of the network's inputs in physics steps; 0 is the present step, 1 the previous step.
     """
 
-    settings = (*ActuatorNet.settings, "_steps")
-
     def __init__(
         self,
         joint_names_expr: Names,
@@ -209,10 +206,8 @@ class ActuatorNetMLP(ActuatorNet):
         super().connect(num_envs, dt, stream)
         device = self.joint_ids.device
         self._steps = torch.tensor(self._input_idx, device=device)
-        self._past = torch.zeros(num_envs, max(self._input_idx) + 1, 2, len(self.joint_names), device=device)
-
-    def reset(self, env_ids: torch.Tensor) -> None:
-        fill_rows(self._past, env_ids, 0.0)
+        shape = (num_envs, max(self._input_idx) + 1, 2, len(self.joint_names))
+        self._past = self.buffer("_past", torch.zeros(shape, device=device), fill=0.0)
 
     def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         error, speed = self._motion(targets, data)
@@ -249,8 +244,9 @@ class ActuatorNetLSTM(ActuatorNet):
         super().connect(num_envs, dt, stream)
         device, count = self.joint_ids.device, len(self.joint_names)
         self._rows = (self._layers, num_envs, count, self._width)
-        self._hidden = torch.zeros(self._layers, num_envs * count, self._width, device=device)
-        self._cell = torch.zeros_like(self._hidden)
+        hidden = torch.zeros(self._layers, num_envs * count, self._width, device=device)
+        self._hidden = self.buffer("_hidden", hidden)
+        self._cell = self.buffer("_cell", torch.zeros_like(hidden))
 
     def reset(self, env_ids: torch.Tensor) -> None:
         for memory in (self._hidden, self._cell):

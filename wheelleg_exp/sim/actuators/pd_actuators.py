@@ -52,7 +52,8 @@ class IdealPDActuator(ActuatorBase):
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         super().connect(num_envs, dt, stream)
-        self._computed = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
+        torque = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
+        self._computed = self.buffer("_computed", torque)
 
     def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
         self._computed = self._torque(targets, data)
@@ -90,8 +91,6 @@ class DCMotor(IdealPDActuator):
         velocity_limit: speed at which the motor has no torque, rad/s.
         saturation_effort: stall torque of the motor's line, N·m; a number, or one by joint expression.
     """
-
-    settings = (*IdealPDActuator.settings, "_saturation")
 
     def __init__(
         self,
@@ -175,8 +174,6 @@ class RemotizedPDActuator(DelayedPDActuator):
         joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,
             N·m.
     """
-
-    settings = (*DelayedPDActuator.settings, "_angles", "_largest")
 
     def __init__(
         self,

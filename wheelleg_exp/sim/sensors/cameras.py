@@ -21,7 +21,7 @@ from wheelleg_exp.sim.sensors.ray_caster import RayCaster
 from wheelleg_exp.sim.sensors.ray_patterns import PinholePattern
 from wheelleg_exp.sim.sensors.sensor_base import LazySensor, Mount, Offset, offset_fits, offset_pose
 from wheelleg_exp.sim.terrain import is_ground
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -39,7 +39,7 @@ _FROM_WORLD: dict[str, tuple[float, float, float, float]] = {
 }
 
 
-class CameraData(Kept):
+class CameraData(Stateful):
     """Measurements of a camera.
 
     Attributes:
@@ -53,11 +53,11 @@ class CameraData(Kept):
     """
 
     def __init__(self, num_envs: int, pinhole: PinholePattern, device: torch.device) -> None:
-        self.pos_w = torch.zeros(num_envs, 3, device=device)
-        self.quat_w_world = torch.zeros(num_envs, 4, device=device)
+        self.pos_w = self.buffer("pos_w", torch.zeros(num_envs, 3, device=device))
+        self.quat_w_world = self.buffer("quat_w_world", torch.zeros(num_envs, 4, device=device))
         self.image_shape = (pinhole.height, pinhole.width)
         self.intrinsic_matrices = torch.tensor(pinhole.intrinsics, device=device).repeat(num_envs, 1, 1)
-        self.output: dict[str, torch.Tensor] = {}
+        self.output: dict[str, torch.Tensor] = self.buffer("output", {})
         self.info: dict[str, dict[str, dict[int, str]]] = {}
 
     @property
@@ -74,18 +74,6 @@ class CameraData(Kept):
         """Allocate the memory for a camera's images of one data type."""
         size = (len(self.pos_w), *self.image_shape, channels)
         self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the measurement."""
-        output = {f"output.{name}": value.clone() for name, value in self.output.items()}
-        return {"pos_w": self.pos_w.clone(), "quat_w_world": self.quat_w_world.clone(), **output}
-
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
-        self.pos_w.copy_(saved["pos_w"])
-        self.quat_w_world.copy_(saved["quat_w_world"])
-        for name, value in self.output.items():
-            value.copy_(saved[f"output.{name}"])
 
 
 def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
@@ -225,7 +213,8 @@ class Camera(LazySensor):
             raise mistake
         self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
         self._cosines = self._pinhole.rays(sim.device)[1][:, 0].view(1, *self.image_shape, 1)
-        self._data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        self._data = self.child("_data", data, saved=self.update_period > 0.0)
         self._numbers: dict[str, torch.Tensor] = {}
         for kind in self._data_types:
             if kind not in _LAYERS:
@@ -264,14 +253,6 @@ class Camera(LazySensor):
             return depth / self._cosines if kind == "distance_to_camera" else depth
         # A background pixel has the geom index -1, which selects the last segmentation id, that of the background.
         return self._numbers[kind][seen["geom"].long()]
-
-    def state_dict(self) -> dict[str, Any]:
-        return {**super().state_dict(), **(self._data.state_dict() if self.update_period > 0.0 else {})}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        super().load_state_dict(saved)
-        if self.update_period > 0.0:
-            self._data.load_state_dict(saved)
 
 
 def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]]:
@@ -336,7 +317,8 @@ class RayCasterCamera(RayCaster):
         super().connect(sim, stream)
         self._offset_pos, self._offset_quat = offset_pose(self._offset, sim.device)
         self._cosines = self._pinhole.rays(sim.device)[1][:, 0]
-        self._data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        data = CameraData(sim.num_envs, self._pinhole, sim.device)
+        self._data = self.child("_data", data, saved=self.update_period > 0.0)
         for kind in self._data_types:
             self._data.add_output(kind, 1, torch.float32)
 

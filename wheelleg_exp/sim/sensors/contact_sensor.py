@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -17,7 +17,7 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.sensors.sensor_base import ROUNDING, SensorBase
 from wheelleg_exp.sim.terrain import GROUND
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -87,7 +87,7 @@ def _time(name: str, doc: str) -> property:
     return property(get, doc=doc)
 
 
-class ContactSensorData(Kept):
+class ContactSensorData(Stateful):
     """Measurements of a contact sensor for N environments and B bodies; the suffix ``_w`` means world axes.
 
     Reading a quantity that the contact sensor does not track raises ConfigError. ``history_length`` is T physics steps.
@@ -104,14 +104,16 @@ class ContactSensorData(Kept):
         self, key: str, num_envs: int, bodies: int, history_length: int, track_air_time: bool, device: torch.device
     ) -> None:
         self._key = key
-        self.forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
-        self._history: torch.Tensor | None = None  # The property ``net_forces_w_history`` sets ``_history``.
+        forces = [torch.zeros(num_envs, bodies, 3, device=device) for _ in range(history_length)]
+        self.forces = self.buffer("forces", forces)
+        # The property ``net_forces_w_history`` sets ``_history``.
+        self._history: torch.Tensor | None = self.buffer("_history", None, saved=False)
         self._track_air_time = track_air_time
-        self.filtered: torch.Tensor | None = None
-        self.points: torch.Tensor | None = None
-        self.friction: torch.Tensor | None = None
+        self.filtered: torch.Tensor | None = self.buffer("filtered", None)
+        self.points: torch.Tensor | None = self.buffer("points", None)
+        self.friction: torch.Tensor | None = self.buffer("friction", None)
         self._robot: Robot | None = None
-        self.times = {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES}
+        self.times = self.buffer("times", {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES})
 
     @property
     def net_forces_w(self) -> torch.Tensor:
@@ -314,7 +316,8 @@ class ContactSensor(SensorBase):
         self._readings = sim.view("sensordata")[:, start:end].view(n, bodies, self._slots, _WIDTH)
         self._pressures, self._normals = self._readings[..., 1].unsqueeze(2), self._readings[..., 4:7]
         self._counts = self._readings[:, :, 0, 0]
-        self.data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
+        data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
+        self.data = self.child("data", data)
         if self.filter_names:
             fields, others = self._fields_of_pairs, len(self.filter_names)
             form = n, bodies * others, self._slots, width(fields)
@@ -323,8 +326,8 @@ class ContactSensor(SensorBase):
             self.data.add_filters(others, **self._tracked)
         if self._track_pose:
             self.data.add_pose(self._robot, self.body_names)
-        self._largest_norm = None
-        self._found = torch.zeros(n, bodies, dtype=sim.dtype, device=device)
+        self._largest_norm = self.buffer("_largest_norm", None, saved=False)
+        self._found = self.buffer("_found", torch.zeros(n, bodies, dtype=sim.dtype, device=device))
 
     def max_force_norm(self) -> torch.Tensor:
         """Return the largest contact force of each sensed body over the force history, (N, B), in newtons."""
@@ -385,17 +388,7 @@ class ContactSensor(SensorBase):
         overflowed = (self._found.index_select(0, env_ids) > self._slots).any(dim=1)
         return {"overflow": overflowed.mean(dtype=torch.float32)}
 
-    def state_dict(self) -> dict[str, Any]:
-        tracked = {name: value.clone() for name, value in (self.data.times | self.data.of_pairs()).items()}
-        own = {"history": self.data.net_forces_w_history.clone(), "found": self._found.clone()}
-        return {**super().state_dict(), **own, **tracked}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
-        self.data.set_forces(list(saved["history"].clone().unbind(dim=1)))
-        self._found.copy_(saved["found"])
-        for name, value in self.data.times.items():
-            value.copy_(saved[name])
-        for name in self.data.of_pairs():
-            setattr(self.data, name, saved[name].clone())
+        self.data.set_forces(self.data.forces)
         self._largest_norm = None

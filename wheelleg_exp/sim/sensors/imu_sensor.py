@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import mujoco
 import torch
@@ -14,13 +14,13 @@ from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.sensors.sensor_base import Mount, Offset, SensorBase, offset_fits, offset_pose
-from wheelleg_exp.state import Kept, cloned
+from wheelleg_exp.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
-class ImuNoise(Kept):
+class ImuNoise:
     """Noise and bias of an accelerometer (m/s^2) or a gyroscope (rad/s), drawn independently for each axis.
 
     Args:
@@ -33,7 +33,7 @@ class ImuNoise(Kept):
         self.std, self.bias_range, self.bias_walk = std, bias_range, bias_walk
 
 
-class ImuData(Kept):
+class ImuData(Stateful):
     """Measurements of an IMU, with Isaac Lab's attribute names; the suffix ``_b`` means the axes of the IMU.
 
     Attributes:
@@ -46,14 +46,18 @@ class ImuData(Kept):
         ang_acc_b: angular acceleration, rad/s^2, (N, 3).
     """
 
+    pos_w: torch.Tensor
+    projected_gravity_b: torch.Tensor
+    lin_vel_b: torch.Tensor
+    ang_vel_b: torch.Tensor
+    lin_acc_b: torch.Tensor
+    ang_acc_b: torch.Tensor
+
     def __init__(self, num_envs: int, device: torch.device) -> None:
-        self.pos_w = torch.zeros(num_envs, 3, device=device)
-        self.quat_w = torch.zeros(num_envs, 4, device=device)
-        self.projected_gravity_b = torch.zeros(num_envs, 3, device=device)
-        self.lin_vel_b = torch.zeros(num_envs, 3, device=device)
-        self.ang_vel_b = torch.zeros(num_envs, 3, device=device)
-        self.lin_acc_b = torch.zeros(num_envs, 3, device=device)
-        self.ang_acc_b = torch.zeros(num_envs, 3, device=device)
+        names = ("pos_w", "projected_gravity_b", "lin_vel_b", "ang_vel_b", "lin_acc_b", "ang_acc_b")
+        for name in names:
+            self.buffer(name, torch.zeros(num_envs, 3, device=device))
+        self.quat_w = self.buffer("quat_w", torch.zeros(num_envs, 4, device=device))
 
 
 @relation(offset_fits)
@@ -106,12 +110,13 @@ class Imu(SensorBase):
         self._gravity = torch.nn.functional.normalize(gravity, dim=0)
         self._gravity_bias = torch.tensor([float(part) for part in self._bias], device=device)
         self._weight = self._gravity_bias.norm()
-        self.data = ImuData(n, device)
-        self._before = torch.zeros(n, 6, device=device)
-        self._acc = torch.zeros(n, 6, device=device)
+        self.data = self.child("data", ImuData(n, device))
+        self._before = self.buffer("_before", torch.zeros(n, 6, device=device))
+        self._acc = self.buffer("_acc", torch.zeros(n, 6, device=device))
         spread = [[e.std, *e.bias_range, e.bias_walk] for e in self._errors for _ in range(3)]
         self._std, self._low, self._high, self._walk = torch.tensor(spread, device=device).unbind(dim=1)
-        self._bias_b, self._noise_b = torch.zeros(n, 6, device=device), torch.zeros(n, 6, device=device)
+        self._bias_b = self.buffer("_bias_b", torch.zeros(n, 6, device=device))
+        self._noise_b = self.buffer("_noise_b", torch.zeros(n, 6, device=device))
         self._stream = stream() if any(map(any, spread)) else None
 
     @property
@@ -175,14 +180,3 @@ class Imu(SensorBase):
         for name, value in seen.items():
             last = getattr(self.data, name)
             last.copy_(value if due is None else torch.where(due.unsqueeze(1), value, last))
-
-    def state_dict(self) -> dict[str, Any]:
-        own = {"before": self._before, "acc": self._acc, "bias": self._bias_b, "noise": self._noise_b}
-        return {**super().state_dict(), **cloned({**vars(self.data), **own})}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        super().load_state_dict(saved)
-        for name, value in vars(self.data).items():
-            value.copy_(saved[name])
-        self._before, self._acc = saved["before"].clone(), saved["acc"].clone()
-        self._bias_b, self._noise_b = saved["bias"].clone(), saved["noise"].clone()

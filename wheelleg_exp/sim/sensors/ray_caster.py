@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import mujoco
 import torch
@@ -16,7 +16,7 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.sensors.ray_patterns import PatternBase
 from wheelleg_exp.sim.sensors.sensor_base import LazySensor, Mount, Offset, offset_fits, offset_pose
 from wheelleg_exp.sim.terrain import GROUND_GROUP
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 
 if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _Axis = Literal["x", "y", "z"]
 
 
-class RayCasterData(Kept):
+class RayCasterData(Stateful):
     """Measurements of a ray caster, with Isaac Lab's attribute names.
 
     Attributes:
@@ -34,18 +34,9 @@ class RayCasterData(Kept):
     """
 
     def __init__(self, num_envs: int, rays: int, device: torch.device) -> None:
-        self.pos_w = torch.zeros(num_envs, 3, device=device)
-        self.quat_w = torch.zeros(num_envs, 4, device=device)
-        self.ray_hits_w = torch.zeros(num_envs, rays, 3, device=device)
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the measurement."""
-        return {name: value.clone() for name, value in vars(self).items()}
-
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for name, value in vars(self).items():
-            value.copy_(saved[name])
+        self.pos_w = self.buffer("pos_w", torch.zeros(num_envs, 3, device=device))
+        self.quat_w = self.buffer("quat_w", torch.zeros(num_envs, 4, device=device))
+        self.ray_hits_w = self.buffer("ray_hits_w", torch.zeros(num_envs, rays, 3, device=device))
 
 
 @relation(offset_fits)
@@ -106,10 +97,11 @@ class RayCaster(LazySensor):
         self._starts, self._directions = starts[: 1 if one_point else None] + pos, directions
         is_down = bool((self._directions == self._directions.new_tensor([0.0, 0.0, -1.0])).all())
         self._looks_down = is_down and self._alignment != "base"
-        self._data = RayCasterData(sim.num_envs, self.num_rays, sim.device)
+        data = RayCasterData(sim.num_envs, self.num_rays, sim.device)
+        self._data = self.child("_data", data, saved=self.update_period > 0.0)
         ranges = torch.tensor([list(pair) for pair in self._drift_ranges], device=sim.device)
         self._low, self._high = ranges.unbind(dim=1)
-        self.drift = torch.zeros(sim.num_envs, 6, device=sim.device)
+        self.drift = self.buffer("drift", torch.zeros(sim.num_envs, 6, device=sim.device))
         self._stream = stream() if bool(ranges.any()) else None
 
     device = alias_of("_sim.device", "Device of the sensor's tensors.")
@@ -167,13 +159,3 @@ class RayCaster(LazySensor):
             turn[:, 1, 0] = yaw.sin()
             turn[:, 0, 1] = -turn[:, 1, 0]
         return turn
-
-    def state_dict(self) -> dict[str, Any]:
-        held = {} if self.update_period == 0.0 else self._data.state_dict()
-        return {**super().state_dict(), "drift": self.drift.clone(), **held}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        super().load_state_dict(saved)
-        self.drift.copy_(saved["drift"])
-        if self.update_period > 0.0:
-            self._data.load_state_dict(saved)

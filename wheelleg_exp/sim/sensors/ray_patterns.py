@@ -11,14 +11,13 @@ import torch
 from wheelleg_exp.constraints import AtMost, Broken, Count, Interval, Length, NotAllZero, Positive, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
-from wheelleg_exp.state import Kept
 from wheelleg_exp.terms.term_errors import blamed, code_place, described, dotted_name
 
 Rays = tuple[torch.Tensor, torch.Tensor]
 _TURN = 2 * math.pi
 
 
-class PatternBase(Kept):
+class PatternBase:
     """A pattern of rays: one YAML node in a ray caster, from this package or user-defined."""
 
     def rays(self, device: torch.device) -> Rays:

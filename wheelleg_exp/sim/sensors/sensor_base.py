@@ -13,7 +13,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import fill_rows, ids_where
 from wheelleg_exp.sim.names import match_names
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_errors import blamed, code_place, dotted_name
 
 if TYPE_CHECKING:
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 ROUNDING = 1e-4  # Largest relative error of a time that is a float32 sum of up to ten thousand physics steps.
 
 
-class SensorBase(Kept):
+class SensorBase(Stateful):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
     A subclass adds elements to the MuJoCo spec, and defines the method ``measure``, which updates the sensor's data.
-    The tensors of a sensor have the shape (N, ...) and are on the engine's device. The method ``state_dict`` must
-    return everything that the sensor's later measurements depend on. The scene sets a sensor's ``name`` and ``terrain``
-    before it calls the sensor's ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
+    The tensors of a sensor have the shape (N, ...) and are on the engine's device. ``connect`` must declare everything
+    that the sensor's later measurements depend on (see ``Stateful``). The scene sets a sensor's ``name`` and
+    ``terrain`` before it calls the sensor's ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
@@ -71,8 +71,10 @@ class SensorBase(Kept):
         del stream
         self._sim = sim
         self._dt = float(sim.model.opt.timestep)
-        self._elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
-        self._is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
+        elapsed = torch.full((sim.num_envs,), self.update_period, device=sim.device)
+        self._elapsed = self.buffer("_elapsed", elapsed, saved=self.update_period > 0.0)
+        is_new = torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device)
+        self._is_new = self.buffer("_is_new", is_new, saved=False)
 
     def update(self) -> None:
         """After a physics step, update the measurements of the environments whose update period has passed.
@@ -124,14 +126,8 @@ class SensorBase(Kept):
         """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the sensor's state that later measurements depend on."""
-        return {} if self.update_period == 0.0 else {"elapsed": self._elapsed.clone()}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        if self.update_period > 0.0:
-            self._elapsed.copy_(saved["elapsed"])
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        super().load_state_dict(saved)
         self._is_new.fill_(False)
 
 
@@ -156,7 +152,6 @@ class LazySensor(SensorBase):
 
     def __init__(self, update_period: NonNegative = 0.0) -> None:
         super().__init__(update_period)
-        self._data: Any = None
 
     def sense(self, ids: torch.Tensor | slice) -> None:
         """Update the measurements of the environments ``ids``; a slice means all environments."""
@@ -164,7 +159,7 @@ class LazySensor(SensorBase):
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
-        self._outdated: torch.Tensor | slice | None = slice(None)
+        self._outdated: torch.Tensor | slice | None = self.number("_outdated", slice(None), saved=False)
 
     @property
     def data(self) -> Any:
@@ -198,7 +193,7 @@ class LazySensor(SensorBase):
             self.sense(env_ids[self._is_new[env_ids]])
         fill_rows(self._is_new, env_ids, False)
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
         self._outdated = slice(None) if self.update_period == 0.0 else None
 
@@ -235,7 +230,7 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
     return property(get, doc=doc)
 
 
-class Mount(Kept):
+class Mount:
     """The robot's body on which a sensor is mounted; raise ConfigError unless a regular expression matches one body."""
 
     def __init__(self, expression: str, robot: Robot, key: str) -> None:

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Bounds, Count, NonNegative, NonNegativeInterval, Positive, PositiveInterval
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.state import Kept
 
 Array = npt.NDArray[np.float64]
 # Do not import annotations from __future__ here, because users' subclasses must inherit types, not strings.
@@ -19,7 +18,7 @@ _ROUNDS = 1000
 
 
 @dataclass(kw_only=True)
-class FlatPatches(Kept):
+class FlatPatches:
     """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
     The z coordinate of a flat patch is the ground's height at the patch's centre. The ranges of a flat patch's x, y,
@@ -99,7 +98,7 @@ class Grid:
 
 
 @dataclass(kw_only=True)
-class SubTerrain(Kept):
+class SubTerrain:
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
     A subclass returns heights. The terrain generator converts a tile's heights to boxes with vertical edges or to a

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,7 +17,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import CombineMode
-from wheelleg_exp.state import Kept
+from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
 _FAR = 1e3  # Rays that measure the ground's height start at a height of 1,000 m.
@@ -54,7 +54,7 @@ TERRAIN_KEY = "env.scene.terrain"
 GROUND_GROUP = 0  # Geom group 0 is reserved for the ground.
 
 
-class TerrainBase(Kept):
+class TerrainBase(Stateful):
     """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
     MuJoCo has no restitution, and one friction coefficient instead of a static and a dynamic one. The config key
@@ -135,7 +135,8 @@ class TerrainBase(Kept):
         rows, cols, _ = self.terrain_origins.shape
         self.max_terrain_level = rows
         highest = rows - 1 if self.max_init_terrain_level is None else min(self.max_init_terrain_level, rows - 1)
-        self.terrain_levels = torch.randint(highest + 1, (num_envs,), generator=stream(), device=device)
+        levels = torch.randint(highest + 1, (num_envs,), generator=stream(), device=device)
+        self.terrain_levels = self.buffer("terrain_levels", levels)
         self.terrain_types = torch.arange(num_envs, device=device) * cols // num_envs
         self.env_origins = self.terrain_origins[self.terrain_levels, self.terrain_types]
 
@@ -193,14 +194,9 @@ class TerrainBase(Kept):
         """Whether ``height_at`` evaluates a fast formula instead of casting rays."""
         return type(self).height_at is not TerrainBase.height_at
 
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of the ground: the terrain level of each environment, or nothing if it has no tiles."""
-        return {} if self.terrain_origins is None else {"terrain_levels": self.terrain_levels.clone()}
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+        super().load_state_dict(saved)
         if self.terrain_origins is not None:
-            self.terrain_levels.copy_(saved["terrain_levels"])
             self.env_origins.copy_(self.terrain_origins[self.terrain_levels, self.terrain_types])
 
 

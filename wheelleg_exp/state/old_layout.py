@@ -1,0 +1,65 @@
+"""Convert the state of an environment in a checkpoint of format version 2 to the present layout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_TAG = "__kind__"
+_ROBOT_PARTS = ("actuators", "wrench", "wrench_bodies", "stale", "settings")
+
+
+def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state of an environment in the present layout; ``restore`` ignores the values it does not need.
+
+    Format version 2 tagged containers, named private attributes without their underscore, and stored the values of
+    some parts next to those of their owner. It also contained tensors that are constant.
+    """
+    found: dict[str, Any] = _plain(env)
+    found["attributes"] = {"attributes": {n: {"now": value} for n, value in found.get("attributes", {}).items()}}
+    scene, managers = found["scene"], found["managers"]
+    robot = scene["robot"]
+    targets = {name: robot[f"joint_{name}_target"] for name in ("pos", "vel", "effort")}
+    data = _private({name: value for name, value in robot.items() if name not in _ROBOT_PARTS})
+    scene["robot"] = _private(robot) | {"targets": targets, "data": data | robot["settings"]}
+    scene["robot"]["_wrench_bodies"] = tuple(robot["wrench_bodies"])
+    for actuator in robot["actuators"].values():
+        if isinstance(delay := actuator.get("delay"), dict):
+            delay["_past"] = _private(delay.get("_past", {}))
+    for name, sensor in scene["sensors"].items():
+        output = {key.removeprefix("output."): value for key, value in sensor.items() if key.startswith("output.")}
+        data = sensor | {"output": output, "times": sensor}
+        if "history" in sensor:
+            data["forces"] = list(sensor["history"].unbind(dim=1))
+        own = {"_bias_b": sensor.get("bias"), "_noise_b": sensor.get("noise")} if "bias" in sensor else {}
+        scene["sensors"][name] = _private(sensor) | own | {"data": data, "_data": data}
+    for name, manager in managers.items():
+        managers[name] = _private(manager) | {"delays": {n: _private(d) for n, d in manager.get("delays", {}).items()}}
+    rewards, curriculum = managers.get("rewards", {}), managers.get("curriculum", {})
+    rewards["_sums"], curriculum["_state"] = rewards.get("episode_sums"), curriculum.get("last")
+    for terms in managers["observations"]["groups"].values():
+        for term in terms.values():
+            term["delay"] = _private(term.get("delay", {}))
+            term["_modifiers"], term["_noise"] = dict(enumerate(term["modifiers"])), _private(term["noise"])
+    return found
+
+
+def _private(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values under their names with and without a leading underscore."""
+    return {**{f"_{name}": value for name, value in values.items()}, **values}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in which no container, array, or generator has a tag."""
+    if isinstance(value, Mapping) and _TAG in value:
+        kind = value[_TAG]
+        if kind == "dict":
+            keys = map(_plain, value["keys"])
+            return dict(zip(keys, map(_plain, value["items"]), strict=True))
+        if kind == "scalar":
+            return value["data"].item()
+        items = _plain(value["items"] if "items" in value else value["data"])
+        return tuple(items) if kind == "tuple" else items
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list) else value

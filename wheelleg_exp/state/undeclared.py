@@ -1,0 +1,109 @@
+"""Find values that change between steps although nothing declares them, in the first steps of a training."""
+
+from __future__ import annotations
+
+import warnings
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.state.stateful import declarations, tree
+from wheelleg_exp.state.values import PLAIN, encoded, same
+
+# These attributes are not state: the declarations themselves, and a term's arguments, which ``Settings`` saves.
+# The robot's list of written rows is empty between steps.
+_IGNORED = frozenset(("_declared", "arguments", "_made_with", "_stale"))
+_CONTAINERS = (list, tuple, dict, set, frozenset, deque)
+_OTHER = object()
+
+
+class UndeclaredChanges:
+    """Compares the undeclared attributes of an environment's parts now with those in some later step.
+
+    With ``with_root``, the attributes of the environment itself are compared, too.
+    """
+
+    def __init__(self, root: object, *, with_root: bool = False) -> None:
+        self._root, self._with_root = root, with_root
+        self._before = {place: seen for place, _, _, seen in self._attributes()}
+
+    def changed(self) -> Iterator[tuple[object, str]]:
+        """Yield the owner and the name of each undeclared attribute that has changed."""
+        return ((owner, name) for _, owner, name in self._changes() if name not in declarations(owner))
+
+    def require_none(self) -> None:
+        """Raise ConfigError if an undeclared tensor or plain value has changed; the error names it.
+
+        A value that ``register_undeclared`` has registered causes only a warning, once for each class.
+        """
+        noted = set[type]()
+        for path, owner, name in self._changes():
+            call = "buffer" if isinstance(getattr(owner, name), torch.Tensor) else "number"
+            kind, expected = type(owner).__qualname__, f'self.{call}("{name}", …) in the constructor'
+            if name not in declarations(owner):
+                message = f"'{name}' of '{kind}' changes between steps, but is not declared, so no checkpoint saves it"
+                raise ConfigError(message, key=path, expected=expected)
+            if type(owner) not in noted:
+                noted.add(type(owner))
+                message = f"{path}: '{name}' of '{kind}' is state that the class does not declare; expected {expected}"
+                warnings.warn(f"{message}. The next release will not save undeclared state", stacklevel=2)
+
+    def _changes(self) -> Iterator[tuple[str, object, str]]:
+        found = [p for p in self._attributes() if not same(p[3], self._before.get(p[0], _OTHER))]
+        owned = set(self._declared_memory()) if found else set[int]()
+        for place, owner, name, _ in found:
+            value = getattr(owner, name)
+            if not isinstance(value, torch.Tensor) or value.untyped_storage().data_ptr() not in owned:
+                yield place[0], owner, name
+
+    def _declared_memory(self) -> Iterator[int]:
+        """Yield the addresses of declared buffers and of the engine's memory, of which attributes may be views."""
+        for _, owner in tree(self._root):
+            names = vars(owner) if isinstance(owner, Engine) else declarations(owner)
+            for tensor in (tensor for name in names for tensor in _tensors(getattr(owner, name), depth=1)):
+                yield tensor.untyped_storage().data_ptr()
+
+    def _attributes(self) -> Iterator[tuple[tuple[str, str], object, str, object]]:
+        """Yield a name for the place, the owner, the attribute, and a copy of its value."""
+        for path, owner in tree(self._root):
+            if _has_own_method(owner) or isinstance(owner, Engine) or (owner is self._root and not self._with_root):
+                continue
+            for name, value in list(getattr(owner, "__dict__", {}).items()):
+                declared = declarations(owner).get(name)
+                if name not in _IGNORED and (declared is None or declared.is_automatic):
+                    yield (path, name), owner, name, _seen(value)
+
+
+def _tensors(value: object, depth: int) -> Iterator[torch.Tensor]:
+    if isinstance(value, torch.Tensor):
+        yield value
+    elif isinstance(value, (dict, list, tuple)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _tensors(item, depth)
+    elif depth and _is_own(type(value)):
+        for item in getattr(value, "__dict__", {}).values():
+            yield from _tensors(item, depth - 1)
+
+
+def _is_own(kind: object) -> bool:
+    return str(getattr(kind, "__module__", "")).partition(".")[0] == __name__.partition(".")[0]
+
+
+def _has_own_method(owner: object) -> bool:
+    """Return whether a user-defined class has its own ``state_dict``, which saves more than the declared values."""
+    method = getattr(type(owner), "state_dict", None)
+    return method is not None and not _is_own(method)
+
+
+def _seen(value: object) -> object:
+    """Copy a tensor, a plain value, or a container; other objects count as unchanged."""
+    if isinstance(value, (dict, list, tuple, set, frozenset, deque)):
+        items = value.values() if isinstance(value, dict) else value
+        return [len(value), *(_seen(item) for item in items if not isinstance(item, _CONTAINERS))]
+    if type(value) in PLAIN or isinstance(value, (torch.Tensor, np.ndarray, np.generic)):
+        return encoded(value)
+    return _OTHER
