@@ -103,10 +103,10 @@ def test_a_reset_of_a_delay_forgets_the_jitter_of_the_last_episode():
     buffer = DelayBuffer(torch.zeros(200, 1), (2, 4), torch.Generator().manual_seed(0), jitter=3)
     for step in range(12):
         buffer.push(torch.full((200, 1), float(step)))
-    late = buffer.state_dict()["last_lag"].clone()
+    late = buffer._last_lag.clone()
     buffer.reset(torch.arange(0, 200, 2))
-    assert torch.equal(buffer.state_dict()["last_lag"][::2], buffer.lag[::2])
-    assert torch.equal(buffer.state_dict()["last_lag"][1::2], late[1::2])
+    assert torch.equal(buffer._last_lag[::2], buffer.lag[::2])
+    assert torch.equal(buffer._last_lag[1::2], late[1::2])
     assert set(late.tolist()) == {0, 1, 2, 3}  # Before its first reset, a buffer has only the jitter.
 
 
