@@ -58,6 +58,7 @@ class Drawing:
 
     def __init__(self, worker: GraphicsWorker, order: Order) -> None:
         self._worker, self._size = worker, (order.height, order.width, 3)
+        self.backend = worker.backend
 
     def draw(self, view: View) -> NDArray[np.uint8]:
         """Return a picture of the scene, (height, width, 3); raise SimulationFailure if the graphics driver failed."""
