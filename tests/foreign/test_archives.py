@@ -17,7 +17,7 @@ from foreign.trial import Trial, every_second
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.main import COMMANDS
 from wheelleg_exp.files import write_json, write_text, write_yaml
-from wheelleg_exp.jobs.result_record import result_manifest, result_page
+from wheelleg_exp.jobs.result_record import read_manifests, result_manifest, result_page
 from wheelleg_exp.packages import _trust_file
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run.timestamps import utc_now, utc_text
@@ -123,16 +123,16 @@ class Archive:
         made = {"overrides": words, "begins_with": None, "iteration": None}
         if begun:
             made = {"overrides": ["task=stand"], "begins_with": made, "iteration": 2}
-        figures = {"seed": 1, "scenarios_sha256": "0", "starts_sha256": "0", "metrics": {}}
+        figures = {"seed": 1, "scenarios_sha256": "0", "starts_sha256": {}, "metrics": {}}
         run = {"id": manifest["id"], "train": made, "parameters": "0", "evaluation": figures}
         record = {
             "format": 2, "name": "evil", "words": again, "protocol": "stand", "scenarios_sha256": "0",
             "about": {"physics_dt_s": 0.005, "step_dt_s": 0.02}, "against": None, "runs": [run], "reference": None,
-            "over_seeds": {}, "differences": {}, "verdict": [], "push_verdict": [],
+            "over_seeds": {}, "differences": {}, "verdict": "", "push_verdict": "",
         }  # fmt: skip
         write_json(folder / "evil" / f"{manifest['id']}.json", manifest)
         write_json(folder / "evil.json", record)
-        write_text(folder / "evil.md", result_page(record, [manifest]))
+        write_text(folder / "evil.md", result_page(record, read_manifests(record, folder)))
         return folder
 
     def plant_sweep(self) -> Path:

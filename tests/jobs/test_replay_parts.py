@@ -20,6 +20,7 @@ from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayDisplay, 
 from wheelleg_exp.run.environment import replay_environ, requested_variables
 from wheelleg_exp.run.environment import variables as recorded_variables
 from wheelleg_exp.run.manifest import Manifest
+from wheelleg_exp.run.records import Resume
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_snapshot import snapshot_source
 from wheelleg_exp.stop_request import StopRequest
@@ -149,7 +150,7 @@ def test_the_first_difference_of_two_configs_is_named(now, said):
 
 
 def resumed(**entry) -> list[str]:
-    return replay_run._resume_notes(SimpleNamespace(data={"resumes": [entry]}))  # type: ignore[arg-type]
+    return replay_run._resume_notes(SimpleNamespace(facts=SimpleNamespace(resumes=[Resume(**entry)])))
 
 
 def test_a_resume_is_reported_and_a_changed_one_voids_the_claim():

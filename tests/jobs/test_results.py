@@ -160,9 +160,9 @@ def test_a_repeated_result_is_reported_once(written, capsys, word):
 
 
 DAMAGES = [
-    (lambda record: record.pop("runs"), "the result record lacks a key: 'runs'"),
+    (lambda record: record.pop("runs"), "the key 'runs' is missing"),
     (lambda record: record.update(runs=[]), "the result record contains no run"),
-    (lambda record: record["runs"][0]["train"].pop("overrides"), "the result record lacks a key: 'overrides'"),
+    (lambda record: record["runs"][0]["train"].pop("overrides"), "the key 'runs[0].train.overrides' is missing"),
     (lambda record: record.update(name="other"), "the record is of 'other'; expected a record of its own name"),
 ]
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, cast
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
@@ -60,6 +60,17 @@ class EvaluationNumbers(TypedDict):
     metrics: Mapping[str, MetricNumbers]
 
 
+class _Profile(TypedDict, total=False):
+    profile: str | None
+
+
+class About(_Profile):
+    """The robot's profile, and the steps of the evaluation, s."""
+
+    physics_dt_s: float
+    step_dt_s: float
+
+
 class RunEntry(TypedDict):
     """A run of a result: its id, its training, the digest of its networks, and its evaluation."""
 
@@ -97,7 +108,7 @@ class ResultRecord(TypedDict):
     name: str
     words: list[str]
     protocol: str
-    about: Mapping[str, Any]
+    about: About
     scenarios_sha256: str
     against: str | None
     runs: list[RunEntry]
@@ -277,7 +288,7 @@ def build_record(
         "name": name,
         "words": list(words),
         "protocol": compared.content["protocol"],
-        "about": dict(runs[0].evaluation.about),
+        "about": cast(About, dict(runs[0].evaluation.about)),
         "scenarios_sha256": compared.content["scenarios_sha256"],
         "against": "reference" if compared.differences else None,
         "runs": [
