@@ -200,4 +200,6 @@ def plain_section(options: object) -> Any:
     """Return an instance of a section's dataclass as the plain config section, with the keys that have defaults."""
     if dataclasses.is_dataclass(options):
         return {f.name: plain_section(getattr(options, f.name)) for f in dataclasses.fields(options)}
-    return {k: plain_section(v) for k, v in options.items()} if isinstance(options, Mapping) else options
+    if isinstance(options, Mapping):
+        return {k: plain_section(v) for k, v in options.items()}
+    return [*options] if isinstance(options, tuple) else options  # a default interval; YAML has lists
