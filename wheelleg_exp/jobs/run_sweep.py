@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from wheelleg_exp.child_process import Event
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
@@ -136,7 +136,7 @@ class SweepRunner:
             self._index.job_ended(entry["number"], *self._outcome(entry, job))
             self._display.ended(entry)
 
-    def _outcome(self, entry: JobEntry, job: Job) -> tuple[JobStatus, dict[str, Any], Any]:
+    def _outcome(self, entry: JobEntry, job: Job) -> tuple[JobStatus, Mapping[str, object], object]:
         """Return status, results, and error of a job: from its manifest if possible, else from its process."""
         run = self._index.run_of(entry)
         if run is not None:

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Any, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import (
@@ -25,6 +25,7 @@ from wheelleg_exp.errors import printable
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.progress import progress_to
 from wheelleg_exp.rl.trainer import Iteration
+from wheelleg_exp.run.run_index import JobEntry
 
 PLAIN_EVERY_S = 10.0
 
@@ -153,7 +154,7 @@ class ConsoleSweepDisplay(LiveLines):
         if self._all is not None:
             self._progress.reset(self._all, description="jobs that have ended")
 
-    def started(self, job: Mapping[str, Any]) -> None:
+    def started(self, job: JobEntry) -> None:
         """Show that a job of the sweep has started."""
         number = job["number"]
         self._last_plain[number] = time.monotonic()
@@ -162,7 +163,7 @@ class ConsoleSweepDisplay(LiveLines):
         else:
             self.say(f"{_title(job)} started")
 
-    def iteration(self, job: Mapping[str, Any], done: int, total: int, scalars: Mapping[str, float]) -> None:
+    def iteration(self, job: JobEntry, done: int, total: int, scalars: Mapping[str, float]) -> None:
         """Show that a job of the sweep has finished ``done`` of ``total`` training iterations."""
         number, now = job["number"], time.monotonic()
         if self._live:
@@ -171,7 +172,7 @@ class ConsoleSweepDisplay(LiveLines):
             self._last_plain[number] = now
             self.say(f"job {number}: training {done}/{total}  {figures(scalars)}".rstrip())
 
-    def ended(self, job: Mapping[str, Any]) -> None:
+    def ended(self, job: JobEntry) -> None:
         """Show how a job ended."""
         if self._live:
             task = self._tasks.pop(job["number"], None)
@@ -179,15 +180,16 @@ class ConsoleSweepDisplay(LiveLines):
                 self._progress.remove_task(task)
             if self._all is not None:
                 self._progress.advance(self._all)
-        why = f": {job['error']['message']}" if job["error"] and job["status"] == "failed" else ""
+        error = job["error"]
+        why = f": {error['message']}" if isinstance(error, Mapping) and job["status"] == "failed" else ""
         self.say(f"{_title(job)} {job['status']}{why}")
 
-    def note(self, job: Mapping[str, Any], text: str) -> None:
+    def note(self, job: JobEntry, text: str) -> None:
         """Print the note ``text`` of a sweep job, unless the same note was already printed."""
         if text not in self._shown:
             self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))
 
 
-def _title(job: Mapping[str, Any]) -> str:
+def _title(job: JobEntry) -> str:
     return f"job {job['number']}" + "".join(f" {text}" for text in job["swept"])

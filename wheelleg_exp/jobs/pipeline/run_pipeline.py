@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.child_process import Event
@@ -178,7 +178,9 @@ class PipelineRunner:
         command = ["wheelleg", "train", *words, *(w for d in self._folders for w in ("--config-dir", str(d)))]
         return self._request("train", words, command, digest=digest_of(compose_valid(words, config_dirs=self._folders)))
 
-    def _request(self, kind: Any, overrides: list[str], command: list[str], **facts: str) -> JobRequest:
+    def _request(
+        self, kind: Literal["train", "resume", "evaluate"], overrides: list[str], command: list[str], **facts: str
+    ) -> JobRequest:
         folders = [str(folder) for folder in self._folders]
         return JobRequest(kind, overrides, folders, command, root=str(self._index.root), **facts)
 
