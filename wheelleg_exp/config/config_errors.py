@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from wheelleg_exp.errors import ConfigError, MissingValue, WheellegError
 
@@ -70,7 +70,7 @@ def override_of(error: WheellegError) -> str | None:
     return where.removeprefix(_OVERRIDE) if where.startswith(_OVERRIDE) else None
 
 
-def document(error: WheellegError) -> dict[str, Any]:
+def document(error: WheellegError) -> dict[str, object]:
     """Return the fields of a config error as a mapping for JSON."""
     override = override_of(error)
     place, _, line = (error.where or "").rpartition(":")

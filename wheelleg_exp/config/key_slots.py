@@ -34,7 +34,7 @@ _PASSED_TO_EXTENSION = ("self", "num_states", "obs_groups", "device", "env")
 # Classes of rsl_rl.extensions read the config sections ``rnd_cfg`` and ``symmetry_cfg`` of ``agent.algorithm``.
 EXTENSIONS = {"rnd_cfg": "RandomNetworkDistillation", "symmetry_cfg": "Symmetry"}
 # rsl_rl reads the following config keys, although no constructor of rsl_rl has parameters with these names.
-_OTHER_KEYS: dict[str, dict[str, Any]] = {"algorithm": {"share_cnn_encoders": bool}}
+_OTHER_KEYS: dict[str, dict[str, object]] = {"algorithm": {"share_cnn_encoders": bool}}
 
 # In manager terms of all config sections, the parameter `command_name` is the name of a term in `env.commands`.
 _NAMES = {
@@ -62,7 +62,7 @@ class Slot:
     reader: str = ""
 
 
-def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
+def slot(tree: Mapping[str, object], keys: Keys) -> Slot | None:
     """Return the type, default, and description of a config key; None if no code reads the key."""
     if not keys:
         root = schema.root_of(tree)
@@ -80,7 +80,7 @@ def slot(tree: Mapping[str, Any], keys: Keys) -> Slot | None:
     return dataclasses.replace(element, meaning=meaning_of(keys) or inherited)
 
 
-def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
+def slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
     """Return the types and defaults of the subkeys of a section such as ``env.sim``; empty if any subkey is valid."""
     node = at(tree, keys)
     section = section_of(keys)
@@ -105,7 +105,7 @@ def slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     return inside_default if options is None else _dataclass_slots(options, keys)
 
 
-def is_settable(tree: Mapping[str, Any], keys: Keys) -> bool:
+def is_settable(tree: Mapping[str, object], keys: Keys) -> bool:
     """Return whether code reads a key by its name, such as a parameter; False for the name of a term."""
     names = schema.PHYSICS_RULES if keys[:-1] == ("check", "silence") else slots(tree, keys[:-1])
     return dotted(keys) in KEYS or keys[-1] in names
@@ -124,7 +124,7 @@ def named_section(section: str | None, name: str) -> str | None:
     return _NAMES.get((section or "", name)) or _NAMES.get(("", name))
 
 
-def target_of(node: Any) -> Callable[..., Any] | None:
+def target_of(node: object) -> Callable[..., object] | None:
     """Import the function or class in the ``_target_`` of a config node; return None without a valid ``_target_``."""
     name = node.get(TARGET) if isinstance(node, Mapping) else None
     try:
@@ -133,7 +133,7 @@ def target_of(node: Any) -> Callable[..., Any] | None:
         return None
 
 
-def _options(tree: Mapping[str, Any], keys: Keys) -> type | None:
+def _options(tree: Mapping[str, object], keys: Keys) -> type | None:
     if not keys:
         return schema.root_of(tree)
     above = slot(tree, keys)
@@ -151,18 +151,18 @@ def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
     return made
 
 
-def _target_slots(node: Mapping[str, Any]) -> dict[str, Slot]:
+def _target_slots(node: Mapping[str, object]) -> dict[str, Slot]:
     own = {TARGET: Slot(str, meaning=KEYS["*._target_"])}
     target = target_of(node)
     return own if target is None else {**own, **_signature_slots(target, signature_parameters(target))}
 
 
-def _signature_slots(target: Callable[..., Any], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
+def _signature_slots(target: Callable[..., object], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
     hints, lines = type_hints(target), parameter_lines(target)
     return {n: Slot(hints.get(n, Any), p.default, lines.get(n, ""), _name(target)) for n, p in parameters.items()}
 
 
-def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
+def _default_slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
     """Return the types and values of the attributes of a parameter's default object, such as ``SceneEntityCfg()``."""
     above = slot(tree, keys)
     if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
@@ -172,7 +172,7 @@ def _default_slots(tree: Mapping[str, Any], keys: Keys) -> dict[str, Slot]:
     return {n: dataclasses.replace(s, default=getattr(above.default, n, s.default)) for n, s in made.items()}
 
 
-def class_slots(found: Any, section: str) -> dict[str, Slot]:
+def class_slots(found: Callable[..., object], section: str) -> dict[str, Slot]:
     """Return the parameters of an rsl_rl class that a config can set in a section of ``agent``."""
     passed: tuple[str, ...] = _PASSED_TO_ALGORITHM if section == "algorithm" else _PASSED_TO_NETWORK
     passed = _PASSED_TO_EXTENSION if section in EXTENSIONS else passed
@@ -184,13 +184,14 @@ def class_slots(found: Any, section: str) -> dict[str, Slot]:
     return known | {name: Slot(annotation) for name, annotation in _OTHER_KEYS.get(section, {}).items()}
 
 
-def extension_of(keys: Keys) -> Any | None:
+def extension_of(keys: Keys) -> type | None:
     """Return the rsl_rl class that reads ``agent.algorithm.rnd_cfg`` or ``symmetry_cfg``; None for any other key."""
     if len(keys) != 3 or keys[:2] != ("agent", "algorithm") or keys[2] not in EXTENSIONS:
         return None
     from rsl_rl import extensions
 
-    return getattr(extensions, EXTENSIONS[keys[2]])
+    found: type = getattr(extensions, EXTENSIONS[keys[2]])
+    return found
 
 
 def class_packages() -> tuple[str, ...]:
@@ -198,15 +199,16 @@ def class_packages() -> tuple[str, ...]:
     return ("rsl_rl", "wheelleg_exp.rl", *term_binding.allowed_packages())
 
 
-def rsl_class(name: Any) -> Any:
+def rsl_class(name: object) -> Callable[..., object] | None:
     """Return the class that a ``class_name`` in the config names; None if no allowed package contains the class."""
     text = str(name).replace(":", ".")
     if "." in text and not term_binding.is_inside(text, class_packages()):
         return None
     try:
-        return term_binding.resolve_class(name)
+        found: Callable[..., object] | None = term_binding.resolve_class(name)
     except ConfigError:
         return None
+    return found
 
 
 def _element(above: Slot, key: str) -> Slot | None:
@@ -221,5 +223,5 @@ def _element(above: Slot, key: str) -> Slot | None:
     return dataclasses.replace(element, annotation=Any) if above.annotation is Any and above.reader else None
 
 
-def _name(thing: Any) -> str:
+def _name(thing: Callable[..., object]) -> str:
     return f"{thing.__module__}.{thing.__qualname__}"

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -23,7 +22,7 @@ def file_text(file: Path) -> str:
     return file.read_text(encoding="utf-8")
 
 
-def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+def leaves(node: object, prefix: Keys = ()) -> Iterator[tuple[Keys, object]]:
     """Yield the key path and value of each leaf (scalar, list, or empty mapping) of a config tree."""
     if isinstance(node, Mapping) and node:
         for key, value in node.items():
@@ -32,7 +31,7 @@ def leaves(node: Any, prefix: Keys = ()) -> Iterator[tuple[Keys, Any]]:
         yield prefix, node
 
 
-def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
+def node_paths(node: object, prefix: Keys = ()) -> Iterator[Keys]:
     """Yield the path of each key below a config node, such as ``("sim",)`` and ``("sim", "dt")`` below ``env``."""
     if isinstance(node, Mapping):
         for key, value in node.items():
@@ -41,7 +40,7 @@ def node_paths(node: Any, prefix: Keys = ()) -> Iterator[Keys]:
             yield from node_paths(value, path)
 
 
-def at(tree: Any, keys: Keys | str) -> Any:
+def at(tree: object, keys: Keys | str) -> object:
     """Return the config node at a key path, which can contain list indices; None if the node does not exist."""
     for key in split_path(keys) if isinstance(keys, str) else keys:
         if isinstance(tree, Mapping):
@@ -53,19 +52,19 @@ def at(tree: Any, keys: Keys | str) -> Any:
     return tree
 
 
-def section_at(tree: Any, keys: Keys | str) -> Mapping[str, Any]:
+def section_at(tree: object, keys: Keys | str) -> Mapping[str, object]:
     """Return the mapping at a key path of a config tree, or an empty mapping if the tree lacks it."""
     node = at(tree, keys)
     return node if isinstance(node, Mapping) else {}
 
 
-def select(node: Any, path: str) -> Any:
+def select(node: object, path: str) -> object:
     """Return the config node at a dotted path; raise KeyError if the node does not exist."""
     for key in split_path(path):
-        names = {str(k): k for k in node} if isinstance(node, Mapping) else {}
-        if key not in names:
+        named = {str(name): child for name, child in node.items()} if isinstance(node, Mapping) else {}
+        if key not in named:
             raise KeyError(path)
-        node = node[names[key]]
+        node = named[key]
     return node
 
 
@@ -105,7 +104,7 @@ def scalar_line(file: Path, *texts: str) -> int | None:
     return next((node.start_mark.line + 1 for node in _scalars(yaml_node(file)) if node.value in texts), None)
 
 
-def _scalars(node: Any) -> Iterator[yaml.ScalarNode]:
+def _scalars(node: object) -> Iterator[yaml.ScalarNode]:
     if isinstance(node, yaml.ScalarNode):
         yield node
     elif isinstance(node, yaml.CollectionNode):
@@ -119,7 +118,7 @@ class DefaultsEntry:
     """One ``key: value`` of a file's defaults list, such as ``override /reward@env.rewards: [alive]``."""
 
     key: str  # ``key`` names a config group, such as ``/reward@env.rewards``, without the word `override`.
-    value: Any
+    value: object
     override: bool
     optional: bool
     line: int

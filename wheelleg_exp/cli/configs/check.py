@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import UsageError, add_json, add_overrides, print_json
 from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         from wheelleg_exp.lint.physics_check import RULES
 
-        rules: list[dict[str, Any]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
+        rules: list[dict[str, object]] = [{"rule": name, "what": rule.summary} for name, rule in RULES.items()]
         if args.json:
             print_json(rules)
         else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import (
     add_json,
@@ -65,13 +65,13 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _tree(composed: Composed, *, resolve: bool) -> Any:
+def _tree(composed: Composed, *, resolve: bool) -> object:
     from omegaconf import OmegaConf
 
     return OmegaConf.to_container(composed.raw, resolve=resolve)
 
 
-def _part(tree: Any, package: str | None) -> Any:
+def _part(tree: object, package: str | None) -> object:
     if package is None:
         return tree
     try:
@@ -106,7 +106,7 @@ def _print_line(text: str, place: str) -> None:
     print(line if len(line) <= screen_width() else f"{hanging(text, 4)}\n    {place.lstrip()}")
 
 
-def _document(source: Source, value: Any) -> dict[str, Any]:
+def _document(source: Source, value: object) -> dict[str, object]:
     return {**source_document(source), "value": value, "shadowed": [source_document(s) for s in source.shadowed]}
 
 
@@ -144,6 +144,6 @@ def _place(term: TermShape) -> str:
     return "-" if term.start is None or term.stop is None else f"{term.start}..{term.stop - 1}"
 
 
-def _group_document(group: GroupShape) -> dict[str, Any]:
+def _group_document(group: GroupShape) -> dict[str, object]:
     terms = {term.name: {k: v for k, v in asdict(term).items() if k != "name"} for term in group.terms}
     return {"shape": group.shape, "terms": terms}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, offer, print_json
 from wheelleg_exp.cli.printing.terminal import print_table
@@ -58,7 +58,7 @@ def _print(a: Side, b: Side, difference: Difference) -> None:
         _titled(section, ("", "A", "B"), facts)
 
 
-def _titled(title: str, columns: tuple[str, ...], rows: list[Any]) -> None:
+def _titled(title: str, columns: tuple[str, ...], rows: Sequence[Sequence[object]]) -> None:
     print(f"\n{title}")
     print_table(columns, rows, heads=2)
 
@@ -70,7 +70,7 @@ def _row(change: PlacedChange) -> tuple[str, ...]:
     return change.kind, change.path, first, second, change.note
 
 
-def _brief(value: Any) -> str:
+def _brief(value: object) -> str:
     """Return a config value as short text; a manager term becomes a text such as ``is_alive weight=1.0``."""
     if isinstance(value, Mapping) and "_target_" in value:
         fields = [f"{key}={shown(value[key])}" for key in ("weight", "mode") if key in value]
@@ -78,6 +78,6 @@ def _brief(value: Any) -> str:
     return _cut(value)
 
 
-def _cut(value: Any) -> str:
+def _cut(value: object) -> str:
     text = shown(value)
     return text if len(text) <= _WIDEST else text[: _WIDEST - 1] + "…"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from wheelleg_exp.cli.arguments import (
     add_json,
@@ -150,9 +149,9 @@ def _cut(values: list[str]) -> str:
     return ", ".join(values[:_SHOWN]) + more
 
 
-def document(explained: Explanation) -> dict[str, Any]:
+def document(explained: Explanation) -> dict[str, object]:
     """Return the explanation of a config key as a JSON document."""
-    other, mount, group = explained.alternatives, explained.mount, dict[str, Any]()
+    other, mount, group = explained.alternatives, explained.mount, dict[str, object]()
     if mount is not None:
         group = {"name": mount.name, "package": mount.package, "option": explained.option}
         group |= {"selected": list(mount.selected), "options": list(mount.options)}

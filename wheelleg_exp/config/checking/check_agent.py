@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Collection, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 from wheelleg_exp.config.key_slots import EXTENSIONS, REQUIRED, class_packages, class_slots, extension_of, rsl_class
 from wheelleg_exp.config.tree_lookup import section_at
@@ -24,7 +23,7 @@ _MIRROR = "wheelleg_exp.rl.symmetry.left_right"
 _SETS = ("actor", "critic", "student", "teacher", "rnd_state")
 
 
-def check_agent(agent: Any, groups: Collection[str]) -> list[ConfigError]:
+def check_agent(agent: object, groups: Collection[str]) -> list[ConfigError]:
     """Return the mistakes in the config section ``agent``; ``groups`` contains the names of the observation groups."""
     from wheelleg_exp.rl import mirror_rules
 
@@ -44,7 +43,7 @@ def check_agent(agent: Any, groups: Collection[str]) -> list[ConfigError]:
     return errors
 
 
-def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
+def _check_groups(sets: object, groups: Collection[str]) -> list[ConfigError]:
     empty, unread, unknown = [], [], []
     for name, members in sets.items() if isinstance(sets, Mapping) and groups else ():
         key, listed = f"agent.obs_groups.{name}", members if isinstance(members, list) else []
@@ -61,7 +60,7 @@ def _check_groups(sets: Any, groups: Collection[str]) -> list[ConfigError]:
     return empty + unread + unknown
 
 
-def _check_class_name(path: str, name: Any) -> list[ConfigError]:
+def _check_class_name(path: str, name: object) -> list[ConfigError]:
     # Reject a class outside the allowed packages without importing the class, because an import runs code.
     packages = class_packages()
     text = str(name).replace(":", ".")
@@ -87,7 +86,7 @@ def _check_class_name(path: str, name: Any) -> list[ConfigError]:
     return [] if defined_there else [refused]
 
 
-def _check_constructor(path: str, node: Any) -> Iterator[ConfigError]:
+def _check_constructor(path: str, node: object) -> Iterator[ConfigError]:
     if not isinstance(node, Mapping):
         return
     if "class_name" not in node:
@@ -105,13 +104,13 @@ def _check_constructor(path: str, node: Any) -> Iterator[ConfigError]:
         yield MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected)
 
 
-def _check_extensions(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
+def _check_extensions(agent: Mapping[str, object]) -> Iterator[ConfigError]:
     algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
     for name in EXTENSIONS:
         node = algorithm.get(name) if isinstance(algorithm, Mapping) else None
-        if not isinstance(node, Mapping):
-            continue
         path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
+        if not isinstance(node, Mapping) or found is None:
+            continue
         yield from _check_parameters(path, node, found)
         for key, slot in class_slots(found, name).items():
             if slot.default is REQUIRED and key not in node:
@@ -124,7 +123,7 @@ def _check_extensions(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield MissingValue(key="agent.obs_groups.rnd_state", expected=expected)
 
 
-def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> Iterator[ConfigError]:
+def _check_parameters(path: str, node: Mapping[str, object], found: Callable[..., object]) -> Iterator[ConfigError]:
     accepted = class_slots(found, path.rsplit(".", 1)[-1])
     for name, value in node.items() if not _takes_any(found) else ():
         key = f"{path}.{name}"
@@ -141,7 +140,7 @@ def _check_parameters(path: str, node: Mapping[str, Any], found: Any) -> Iterato
             yield from wrong if words is None else [not_one_of(f"'{value}' is not known", value, words, key=key)]
 
 
-def _takes_any(found: Any) -> bool:
+def _takes_any(found: Callable[..., object]) -> bool:
     from rsl_rl.algorithms import Distillation
 
     parameters = inspect.signature(found.__init__).parameters.values()
@@ -149,7 +148,7 @@ def _takes_any(found: Any) -> bool:
     return found is not Distillation and any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters)
 
 
-def known_words(name: str, value: Any = "?") -> list[str] | None:
+def known_words(name: str, value: object = "?") -> list[str] | None:
     """Return None if rsl_rl knows the activation or optimiser ``value``; otherwise return all names that it knows."""
     import rsl_rl.utils
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
@@ -47,7 +46,7 @@ def check_term_files(files: Sequence[ConfigFile]) -> list[ConfigError]:
     return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
 
 
-def check_targets_of_files(config: Mapping[str, Any], files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
+def check_targets_of_files(config: Mapping[str, object], files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
     """Find terms, such as rewards, that have a config file but no ``_target_`` in the composed config."""
     for file in files:
         term = section_at(config, file.package).get(file.name) if _is_term_list(file.package) else None
@@ -100,7 +99,7 @@ def _term_file_error(file: ConfigFile) -> ConfigError:
     return ConfigError(message, key=f"{file.package}.{file.name}", where=where, expected=expected, nearest=nearest)
 
 
-def without_strays(config: Mapping[str, Any], files: Sequence[ConfigFile]) -> dict[str, Any]:
+def without_strays(config: Mapping[str, object], files: Sequence[ConfigFile]) -> dict[str, object]:
     """Return a config without misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term."""
     cleaned = copy.deepcopy(dict(config))
     for file in files:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.config.checking.check_terms import import_target, term_nodes
-from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.config.tree_lookup import at, section_at
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.errors import AssetError, ConfigError, not_one_of
 from wheelleg_exp.paths import cache_dir, find_asset
 from wheelleg_exp.sim.names import match_names, order_errors, shared_errors, valueless_errors
@@ -29,7 +30,7 @@ class RobotNames:
     bodies: list[str]
 
 
-def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
+def converted(env: Mapping[str, object], asset_roots: Sequence[Path]) -> Path:
     """Return the MJCF path of the robot in the config section ``env``; convert the robot if the cache lacks the MJCF.
 
     A missing robot file, or a file without a robot, raises ConfigError.
@@ -37,7 +38,7 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
     from wheelleg_exp.asset import convert_cached
     from wheelleg_exp.asset.conversion_cache import find_extra_files
 
-    robot = env["robot"]
+    robot: Mapping[str, Any] = section_at(env, "robot")
     try:
         source = find_asset(robot["asset"], asset_roots, key=ASSET_KEY)
         extra_files, base = find_extra_files(env, asset_roots), robot.get("base", "auto")
@@ -47,7 +48,7 @@ def converted(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> Path:
         raise ConfigError(keyed.message, key=keyed.key, expected=keyed.expected, nearest=keyed.nearest) from error
 
 
-def read_names(env: Mapping[str, Any], asset_roots: Sequence[Path]) -> RobotNames:
+def read_names(env: Mapping[str, object], asset_roots: Sequence[Path]) -> RobotNames:
     """Return the names of the joints and bodies of the robot in the config section ``env``."""
     return names_in_mjcf(converted(env, asset_roots))
 
@@ -86,9 +87,9 @@ class Members:
     bodies: dict[str, list[str] | None]
 
 
-def check_robot(config: Mapping[str, Any], names: RobotNames) -> list[ConfigError]:
+def check_robot(config: Mapping[str, object], names: RobotNames) -> list[ConfigError]:
     """Return the mistakes in a config's joint and body expressions, including references to unknown scene entities."""
-    robot, sensors = config["env"]["robot"], config["env"]["scene"].get("sensors")
+    robot, sensors = section_at(config, "env.robot"), at(config, "env.scene.sensors")
     order = robot.get("joint_order")
     errors = order_errors(order, names.joints) if isinstance(order, list) else []
     joints = list(order) if isinstance(order, list) and not errors else names.joints
@@ -133,7 +134,7 @@ def _match_error(expressions: list[str], names: Sequence[str], key: str, what: s
     return []
 
 
-def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
+def _actuators(groups: object, joints: list[str]) -> list[ConfigError]:
     from wheelleg_exp.sim.actuators.actuator_base import NEEDED, ONE_GROUP
 
     errors, claims = [], []
@@ -148,7 +149,7 @@ def _actuators(groups: Any, joints: list[str]) -> list[ConfigError]:
     return errors + shared_errors(claims, ONE_GROUP)
 
 
-def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[ConfigError]:
+def _shared_actions(config: Mapping[str, object], joints: list[str]) -> list[ConfigError]:
     """Find joints for which two action terms set targets, because only the later one of both terms has an effect."""
     from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
 
@@ -161,8 +162,8 @@ def _shared_actions(config: Mapping[str, Any], joints: list[str]) -> list[Config
     return shared_action_errors(claims)
 
 
-def _undriven(config: Mapping[str, Any], joints: list[str]) -> Iterator[ConfigError]:
-    groups = config["env"]["robot"].get("actuators")
+def _undriven(config: Mapping[str, object], joints: list[str]) -> Iterator[ConfigError]:
+    groups = at(config, "env.robot.actuators")
     if not isinstance(groups, Mapping):
         return  # If env.robot.actuators is not a mapping, another check reports this.
     nodes = [n for n in groups.values() if isinstance(n, Mapping)]
@@ -179,20 +180,21 @@ def _undriven(config: Mapping[str, Any], joints: list[str]) -> Iterator[ConfigEr
             yield ConfigError(message, key=f"{path}.joint_names", expected=expected)
 
 
-def _by_joint(kind: str, path: str, node: Mapping[str, Any], joints: list[str]) -> Iterator[ConfigError]:
+def _by_joint(kind: str, path: str, node: Mapping[str, object], joints: list[str]) -> Iterator[ConfigError]:
     for name in _BY_JOINT[kind]:
-        if isinstance(node.get(name), Mapping) and joints:
-            yield from _mapping(node[name], joints, f"{path}.{name}")
+        values = node.get(name)
+        if isinstance(values, Mapping) and joints:
+            yield from _mapping(values, joints, f"{path}.{name}")
 
 
-def _mapping(values: Mapping[str, Any], joints: list[str], path: str) -> list[ConfigError]:
+def _mapping(values: Mapping[str, object], joints: list[str], path: str) -> list[ConfigError]:
     """Return the errors in a mapping from regular expressions for joint names to values."""
     keys = split_path(path)
     errors = [e for name in values for e in _match_error([str(name)], joints, dotted((*keys, str(name))), "joint")]
     return errors or _match_error([str(name) for name in values], joints, path, "joint")
 
 
-def _term(section: str, path: str, node: Mapping[str, Any], members: Members) -> Iterator[ConfigError]:
+def _term(section: str, path: str, node: Node, members: Members) -> Iterator[ConfigError]:
     from wheelleg_exp.managers.term_interface import SceneEntityCfg
 
     for inner, part in walk_nodes(node, path):
@@ -206,7 +208,7 @@ def _term(section: str, path: str, node: Mapping[str, Any], members: Members) ->
         yield from _names(section, inner, part, target, str(member), members)
 
 
-def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
+def _target(node: Mapping[str, object], path: str) -> Callable[..., object] | None:
     try:
         return import_target(str(node.get(TARGET)), path)
     except ConfigError:
@@ -214,7 +216,7 @@ def _target(node: Mapping[str, Any], path: str) -> Callable[..., Any] | None:
 
 
 def _names(
-    section: str, path: str, node: Mapping[str, Any], target: Callable[..., Any], member: str, members: Members
+    section: str, path: str, node: Node, target: Callable[..., object], member: str, members: Members
 ) -> Iterator[ConfigError]:
     if member not in members.bodies:
         yield not_one_of(f"the scene has no robot or sensor '{member}'", member, members.bodies, key=f"{path}.name")

@@ -27,7 +27,7 @@ _CLASSES = {"commands": "CommandTerm", "actions": "ActionTerm", "recorders": "Re
 _ARGUMENTS = {"events": ("env", "env_ids"), "curriculum": ("env", "env_ids")}
 
 
-def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+def term_nodes(config: Mapping[str, object]) -> Iterator[tuple[str, str, Any]]:
     """Yield the config section, the config path, and the config node of every term in the config."""
     for section in binding.RESERVED:
         nodes = section_at(config, f"env.{section}")
@@ -40,7 +40,7 @@ def term_nodes(config: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
                 yield section, f"env.{section}.{term}", node
 
 
-def check_sections(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def check_sections(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield the mistakes in every term of the config."""
     for section, path, node in term_nodes(config):
         for error in check_term(section, path, node):
@@ -52,7 +52,7 @@ def check_sections(config: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield error
 
 
-def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
+def check_term(section: str, path: str, node: object) -> list[ConfigError]:
     """Return the mistakes in one term: a missing or wrong ``_target_``, wrong manager fields, and wrong parameters."""
     try:
         term = binding.split_node(section, path, node)
@@ -68,7 +68,7 @@ def check_term(section: str, path: str, node: Any) -> list[ConfigError]:
     return errors + (wrong or parameter_errors(section, term, target))
 
 
-def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def _kind_errors(section: str, term: binding.TermNode, target: Callable[..., object]) -> list[ConfigError]:
     if inspect.isclass(target):
         from wheelleg_exp import managers
 
@@ -109,7 +109,7 @@ def _section_errors(section: str, term: binding.TermNode) -> list[ConfigError]:
     return [ConfigError(message, key=f"{term.path}.{binding.TARGET}", expected=expected, nearest=nearest)]
 
 
-def import_target(target: str, path: str) -> Callable[..., Any]:
+def import_target(target: str, path: str) -> Callable[..., object]:
     """Import the object of a ``_target_`` path; the error for a misspelled module names the most similar module."""
     try:
         return binding.resolve_target(target, path)
@@ -136,7 +136,7 @@ def _nearest_target(target: str) -> str | None:
     return None
 
 
-def check_nested_targets(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def check_nested_targets(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield the mistakes in ``_target_`` nodes that are not terms, such as sensors, actuators, and noise models."""
     terms = {path for _, path, _ in term_nodes(config)}
     for path, node in binding.walk_nodes(config):
@@ -148,7 +148,7 @@ def check_nested_targets(config: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield error
 
 
-def check_links(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def check_links(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield an error for each parameter such as ``command_name`` whose value is not the name of an existing term."""
     for section, path, node in term_nodes(config):
         if not isinstance(node, Mapping):
@@ -165,7 +165,7 @@ def check_links(config: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield error
 
 
-def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
+def check_realism(config: Mapping[str, object]) -> list[ConfigError]:
     """Find misspelled names of terms, observation groups, and functions in ``env.realism``."""
     realism = at(config, "env.realism")
     if not isinstance(realism, Mapping):
@@ -184,7 +184,7 @@ def check_realism(config: Mapping[str, Any]) -> list[ConfigError]:
     ]
 
 
-def check_groups_in_use(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def check_groups_in_use(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Find observation groups that no neural network reads, and observation groups without terms."""
     groups, sets = at(config, "env.observations"), at(config, "agent.obs_groups")
     if not isinstance(groups, Mapping) or not isinstance(sets, Mapping):
@@ -205,7 +205,7 @@ def check_groups_in_use(config: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield ConfigError("the group has no terms", key=key, expected="at least one term")
 
 
-def recorded_errors(ids: Any, count: Any) -> Iterator[ConfigError]:
+def recorded_errors(ids: object, count: object) -> Iterator[ConfigError]:
     """Yield the mistake in ``recording.env_ids`` if an id is repeated, or is outside 0 to ``count`` - 1."""
     if not isinstance(ids, list) or not isinstance(count, int) or not all(isinstance(i, int) for i in ids):
         return
@@ -215,13 +215,13 @@ def recorded_errors(ids: Any, count: Any) -> Iterator[ConfigError]:
         yield ConfigError(f"is {ids}", key="recording.env_ids", expected=expected)
 
 
-def require_recorded(config: Mapping[str, Any]) -> None:
+def require_recorded(config: Mapping[str, object]) -> None:
     """Raise ConfigError if ``recording.env_ids`` contains an environment that does not exist."""
     for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
         raise error
 
 
-def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
+def check_drawn(config: Mapping[str, object]) -> list[ConfigError]:
     """Find cameras that would render more environments than the limit for one camera."""
     count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
     limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
@@ -233,7 +233,7 @@ def check_drawn(config: Mapping[str, Any]) -> list[ConfigError]:
     return [error for error in found if error is not None]
 
 
-def check_folders(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def check_folders(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield the mistake in the config key ``run.root`` if this path cannot be a folder."""
     root = at(config, "run.root")
     places = (Path(root), *Path(root).parents) if isinstance(root, str) else ()

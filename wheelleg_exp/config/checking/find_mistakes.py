@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking import check_defaults_lists as lists
@@ -80,7 +80,7 @@ def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
     ]
 
 
-def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list[ConfigError]:
+def _check_robot(config: Mapping[str, object], asset_roots: Sequence[Path]) -> list[ConfigError]:
     robot, scene = at(config, "env.robot"), at(config, "env.scene")
     if not isinstance(robot, Mapping) or not isinstance(scene, Mapping):
         return []
@@ -94,7 +94,7 @@ def _check_robot(config: Mapping[str, Any], asset_roots: Sequence[Path]) -> list
     return check_robot(config, names)
 
 
-def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
+def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
     """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
     unmounted = {str(error.key): error for error in _groups_without_terms(config)}
     errors = [e for e in section_errors("", config, root) if str(e.key).rpartition(".")[0] not in unmounted]
@@ -113,8 +113,12 @@ def check_tree(config: Mapping[str, Any], root: type) -> list[ConfigError]:
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
     errors += check_terms.check_drawn(config)
     errors += check_agent(config.get("agent"), groups)
-    if fits(num_envs, Count) and not any(f"{error.key}.".startswith("agent.") for error in errors):
-        errors += batch_errors(config["agent"], num_envs)
+    if (
+        isinstance(num_envs, int)
+        and fits(num_envs, Count)
+        and not any(f"{error.key}.".startswith("agent.") for error in errors)
+    ):
+        errors += batch_errors(section_at(config, "agent"), num_envs)
     return errors
 
 
@@ -125,7 +129,7 @@ def require_valid(composed: Composed) -> None:
         raise_all(errors)
 
 
-def _groups_without_terms(config: Mapping[str, Any]) -> Iterator[ConfigError]:
+def _groups_without_terms(config: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield an error for each observation group that has settings, no terms, and a name similar to another group's."""
     groups = section_at(config, "env.observations")
     with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]

@@ -113,7 +113,7 @@ class Composed:
             return find_mounts(self.loader)
 
     @cached_property
-    def raw_tree(self) -> dict[str, Any]:
+    def raw_tree(self) -> dict[str, object]:
         """The config as nested dicts with unresolved interpolations; callers must not change these dicts."""
         tree = OmegaConf.to_container(self.raw, resolve=False)
         return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
@@ -257,7 +257,7 @@ def _flat(error: Exception) -> str:
     return re.sub(r'^\w+ raised while resolving interpolation: "?(.*?)"?$', r"\1", flat(error))
 
 
-def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dict[str, Any]:
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
     An override cannot select an option of a config group, because ``apply_overrides`` reads no config files. Null terms
@@ -283,9 +283,9 @@ def apply_overrides(tree: Mapping[str, Any], overrides: Sequence[str]) -> dict[s
 
 
 def require_read(
-    recorded: Mapping[str, Any],
+    recorded: Mapping[str, object],
     overrides: Sequence[str],
-    read: Callable[[Mapping[str, Any]], object],
+    read: Callable[[Mapping[str, object]], object],
     instead: Mapping[str, str],
 ) -> None:
     """Raise ConfigError if an override has no effect, because the calling command does not read its config key.
@@ -343,16 +343,17 @@ def _parse(text: str) -> Override:
     return override
 
 
-def _parent(tree: dict[str, Any], keys: Sequence[str], text: str) -> dict[str, Any]:
+def _parent(tree: dict[str, object], keys: Sequence[str], text: str) -> dict[str, object]:
     node = tree
     for depth, key in enumerate(keys[:-1], start=1):
-        if not isinstance(node.get(key), dict):
+        child = node.get(key)
+        if not isinstance(child, dict):
             raise _unknown(tree, keys[:depth], text)
-        node = node[key]
+        node = child
     return node
 
 
-def _unknown(tree: dict[str, Any], keys: Sequence[str], text: str) -> ConfigError:
+def _unknown(tree: dict[str, object], keys: Sequence[str], text: str) -> ConfigError:
     name = dotted(keys)
     message, where = "there is no such key in the run's parameters", f"override {text}"
     is_unset = text.startswith(f"{name}=") and is_settable(tree, tuple(keys))

@@ -102,7 +102,7 @@ class Sweep:
     n_jobs: int
     multirun: DictConfig = field(repr=False)
 
-    def settings(self, folder: Path) -> dict[str, Any]:
+    def settings(self, folder: Path) -> dict[str, object]:
         """Return the settings of a sweep's launcher as a plain mapping; ``folder`` is the folder of the sweep."""
         config = self.multirun.copy()
         with open_dict(config):

@@ -15,7 +15,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import yaml
 from hydra import version
@@ -216,7 +215,7 @@ class Repository(CachingConfigRepository):  # type: ignore[misc, unused-ignore]
 
 
 @functools.cache
-def _yaml_loader() -> Any:
+def _yaml_loader() -> type[yaml.SafeLoader]:
     """Return OmegaConf's YAML loader with libyaml's parser, if libyaml is installed, because libyaml is much faster."""
     loader = get_yaml_loader()
     fast = getattr(yaml, "CSafeLoader", None)
@@ -391,7 +390,8 @@ class Loader(ConfigLoaderImpl):  # type: ignore[misc, unused-ignore]
             parsed: tuple[list[Override], CachingConfigRepository]
             parsed = super()._parse_overrides_and_create_caching_repo(config_name, overrides)
             return parsed
-        return [override for override in self.overrides if self._selects(override)], self.repository_used
+        single = [override for override in self.overrides if not override.is_sweep_override()]
+        return [override for override in single if self._selects(override)], self.repository_used
 
     def _selects(self, override: Override) -> bool:
         is_group = self.repository_used.group_exists(override.key_or_group)

@@ -43,17 +43,18 @@ class Alternatives:
 
     type: str = ""
     limits: tuple[str, ...] = ()
-    values: tuple[Any, ...] = ()
+    values: tuple[object, ...] = ()
     has_default: bool = False
-    default: Any = None
-    keys: tuple[tuple[str, Any], ...] = ()
+    default: object = None
+    keys: tuple[tuple[str, object], ...] = ()
 
 
-def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
+def alternatives(tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot | None) -> Alternatives:
     """Return the valid values of a config key; ``keys`` is, for example, ``("env", "num_envs")``."""
     node = at(tree, keys)
-    below = key_slots.slots(tree, keys) if isinstance(node, Mapping) else {}
-    unset = {n: s for n, s in below.items() if n not in node and s.default is not key_slots.REQUIRED}
+    present = node if isinstance(node, Mapping) else None
+    below = key_slots.slots(tree, keys) if present is not None else {}
+    unset = {n: s for n, s in below.items() if n not in (present or ()) and s.default is not key_slots.REQUIRED}
     absent = tuple((name, _plain(s.default)) for name, s in unset.items())
     if slot is None:
         return Alternatives(keys=absent)
@@ -67,7 +68,7 @@ def alternatives(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | Non
     )
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Convert a default value to a type that YAML supports, or to a text."""
     if isinstance(value, enum.Enum):
         return value.value
@@ -76,7 +77,7 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int, float, str, Mapping)) else str(value)
 
 
-def _known_values(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot) -> list[Any]:
+def _known_values(tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot) -> Sequence[object]:
     name = keys[-1]
     if name == TARGET:
         return siblings(str(at(tree, keys)))
@@ -93,14 +94,14 @@ def _known_values(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot) -> 
     return literal_values(slot.annotation)
 
 
-def literal_values(annotation: Any) -> list[Any]:
+def literal_values(annotation: object) -> list[object]:
     """Return the values of an annotation that lists its values: a Literal, an enum, or a bool."""
     options = list(options_in(annotation))
     found = [value for option in options for value in _listed(option)]
     return [*found, None] if found and type(None) in options else found
 
 
-def _listed(option: Any) -> list[Any]:
+def _listed(option: object) -> list[object]:
     if option is bool:
         return [True, False]
     if inspect.isclass(option) and issubclass(option, enum.Enum):
@@ -123,7 +124,7 @@ def siblings(target: str) -> list[str]:
     ]
 
 
-def _names(tree: Mapping[str, Any], keys: Keys) -> list[str]:
+def _names(tree: Mapping[str, object], keys: Keys) -> list[str]:
     return [str(name) for name, value in section_at(tree, keys).items() if value is not None]
 
 
@@ -137,7 +138,7 @@ class CompletionView:
     ``mounts`` maps each config group to whether it accepts a list of options, as in ``reward@env.rewards=[alive]``.
     """
 
-    tree: dict[str, Any]
+    tree: dict[str, object]
     mounts: dict[str, bool]
     groups: dict[str, list[str]]
 
@@ -216,7 +217,7 @@ def complete_key(
     return list(dict.fromkeys([*_keys(seen.tree, word, removable=True), *names]))
 
 
-def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> list[str]:
+def _keys(tree: Mapping[str, object], text: str, *, removable: bool = False) -> list[str]:
     """Complete ``text`` to config keys such as ``env.`` and ``seed=``; if ``removable`` is true, add no ``=``."""
     parent: Keys = split_path(text.rpartition(".")[0])
     node = at(tree, parent)
@@ -229,7 +230,7 @@ def _keys(tree: Mapping[str, Any], text: str, *, removable: bool = False) -> lis
     return [path for path in found if path.startswith(text)]
 
 
-def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
+def _leaf_values(tree: Mapping[str, object], path: Keys) -> list[str]:
     """Suggest values for a config key without importing the function or class of a ``_target_``."""
     now = at(tree, path)
     inside_target = any(TARGET in section_at(tree, path[:n]) for n in range(1, len(path)))
@@ -241,7 +242,7 @@ def _leaf_values(tree: Mapping[str, Any], path: Keys) -> list[str]:
     return list(dict.fromkeys(map(_value_text, [*listed, *present])))
 
 
-def _value_text(value: Any) -> str:
+def _value_text(value: object) -> str:
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     return "[" + ",".join(map(_value_text, value)) + "]" if isinstance(value, list) else str(value)

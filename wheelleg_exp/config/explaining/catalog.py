@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -68,7 +67,7 @@ def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
             yield LibraryTerm(section, target, signature_of(found), headline(found), limits_of(found))
 
 
-def is_term(section: str, found: Any) -> bool:
+def is_term(section: str, found: object) -> bool:
     """Return whether an object of a library module is a term: a concrete class, or a function of the environment."""
     if inspect.isclass(found):
         from wheelleg_exp.managers.manager_base import TermBase
@@ -83,7 +82,7 @@ def is_term(section: str, found: Any) -> bool:
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
-def limits_of(target: Any) -> dict[str, str]:
+def limits_of(target: Callable[..., object]) -> dict[str, str]:
     """Return the types and bounds of the bounded parameters of a class or function as text."""
     hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
     return {
@@ -93,7 +92,7 @@ def limits_of(target: Any) -> dict[str, str]:
     }
 
 
-def signature_of(target: Any) -> str:
+def signature_of(target: Callable[..., object]) -> str:
     """Return the parameters of a class or function that a config can set, as ``name, name=default``."""
     parts = []
     for name, parameter in signature_parameters(target).items():
@@ -182,7 +181,7 @@ def _target(text: str, name: str) -> str | None:
     """Return the target of the term in a file: of the node with the name of the file, or of the only node."""
     try:
         yaml_tree(text)
-        content: Any = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
+        content: object = OmegaConf.to_container(OmegaConf.create(text), resolve=False)
     except Exception:  # A file that is not valid YAML has no ``_target_``.
         return None
     nodes = content if isinstance(content, dict) else {}

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 from wheelleg_exp.config import key_slots
-from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.terms.key_syntax import Keys, dotted
 from wheelleg_exp.terms.term_binding import TARGET, signature_parameters
 
@@ -35,7 +35,7 @@ class Change:
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
-def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) -> Iterator[Change]:
+def changes(a: object, b: object, alike: Callable[[object, object], bool], keys: Keys = ()) -> Iterator[Change]:
     """Yield the leaves in which two trees differ: first in the order of A, then the leaves that only B has."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for name in dict.fromkeys([*a, *b]):
@@ -44,7 +44,7 @@ def changes(a: Any, b: Any, alike: Callable[[Any, Any], bool], keys: Keys = ()) 
         yield Change(keys, a, b)
 
 
-def same(a: Any, b: Any) -> bool:
+def same(a: object, b: object) -> bool:
     """Return whether two plain config values are equal. 1 equals 1.0, and NaN equals NaN, but True differs from 1."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
@@ -57,7 +57,7 @@ def same(a: Any, b: Any) -> bool:
     return bool(a == b)
 
 
-def _is_list(value: Any) -> bool:
+def _is_list(value: object) -> TypeGuard[Sequence[object]]:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
@@ -83,9 +83,9 @@ class Side:
     """
 
     label: str
-    tree: Mapping[str, Any]
+    tree: Mapping[str, object]
     where: Callable[[str], str | None]
-    facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    facts: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ class PlacedChange:
     kind: Kind
     path: str
     is_term: bool
-    a: Any = None
-    b: Any = None
+    a: object = None
+    b: object = None
     where_a: str | None = None
     where_b: str | None = None
     note: str = ""
@@ -112,8 +112,8 @@ class FactChange:
 
     section: str
     name: str
-    a: Any
-    b: Any
+    a: object
+    b: object
 
 
 @dataclass(frozen=True)
@@ -156,14 +156,14 @@ def _walk(a: Side, b: Side, keys: Keys) -> Iterator[PlacedChange]:
             yield _change(kind, a, b, inner, at(a.tree, inner), at(b.tree, inner), note)
 
 
-def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: Any, other: Any, note: str = "") -> PlacedChange:
+def _change(kind: Kind, a: Side, b: Side, keys: Keys, one: object, other: object, note: str = "") -> PlacedChange:
     path, is_term = dotted(keys), key_slots.section_of(keys) is not None
     return PlacedChange(kind, path, is_term, one, other, a.where(path), b.where(path), note)
 
 
 def _is_default(a: Side, b: Side, keys: Keys) -> bool:
     """Return whether one of two configs sets a key to its default value and the other config does not set the key."""
-    parents = [at(side.tree, keys[:-1]) for side in (a, b)]
+    parents = [section_at(side.tree, keys[:-1]) for side in (a, b)]
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
     side = a if keys[-1] in parents[0] else b
@@ -171,17 +171,17 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
     return slot is not None and slot.default is not key_slots.REQUIRED and _makes(at(side.tree, keys), slot.default)
 
 
-def _makes(value: Any, default: Any) -> bool:
+def _makes(value: object, default: object) -> bool:
     """Return whether a config value equals a default value, or is a ``_target_`` node that builds an equal object."""
     target = key_slots.target_of(value)
-    if target is None or type(default) is not target:
+    if target is None or type(default) is not target or not isinstance(value, Mapping):
         return same(value, default)
     made = [f.name for f in fields(target) if f.default_factory is not MISSING] if is_dataclass(target) else []
     parameters = {n: p for n, p in signature_parameters(target).items() if n in value or n not in made}
     return all(same(value.get(name, p.default), getattr(default, name, None)) for name, p in parameters.items())
 
 
-def _facts(a: Mapping[str, Mapping[str, Any]], b: Mapping[str, Mapping[str, Any]]) -> Iterator[FactChange]:
+def _facts(a: Mapping[str, Mapping[str, object]], b: Mapping[str, Mapping[str, object]]) -> Iterator[FactChange]:
     for section in a:
         one, other = a[section], b.get(section, {})
         if section == "code" and one.get("tree") is not None and one.get("tree") == other.get("tree"):

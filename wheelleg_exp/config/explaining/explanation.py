@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 from wheelleg_exp.config import key_slots
 from wheelleg_exp.config.composing.compose import Composed
@@ -13,7 +13,7 @@ from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Mount, Source, mount_of, option_of
 from wheelleg_exp.config.explaining.alternatives import Alternatives, alternatives
 from wheelleg_exp.config.explaining.key_documentation import comment_at, file_comment, meaning_of, summary, unit_in
-from wheelleg_exp.config.tree_lookup import at, line_table, node_paths
+from wheelleg_exp.config.tree_lookup import at, line_table, node_paths, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
@@ -35,7 +35,7 @@ class Meaning:
 
 
 def meanings(
-    tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
+    tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
     """Return the comments and docstrings about a config key, the most specific first."""
     found: dict[str, Meaning] = {}
@@ -67,13 +67,13 @@ def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
             yield Meaning(text, show_file(source.file, line))
 
 
-def _docstrings(tree: Mapping[str, Any], keys: Keys, slot: key_slots.Slot | None) -> Iterator[Meaning]:
+def _docstrings(tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot | None) -> Iterator[Meaning]:
     if slot is not None and slot.meaning:
         yield Meaning(slot.meaning, slot.reader or "wheelleg")
     elif text := meaning_of(keys):
         yield Meaning(text, "wheelleg")
     for length in range(len(keys), 0, -1):
-        node = at(tree, keys[:length])
+        node = section_at(tree, keys[:length])
         target = key_slots.target_of(node)
         if target is not None:
             about = "key" if length == len(keys) else "term"
@@ -93,12 +93,12 @@ class Reference:
     """
 
     path: str
-    value: Any
-    raw: Any
+    value: object
+    raw: object
     where: str | None
 
 
-def references(composed: Composed, keys: Keys, raw: Any) -> Iterator[Reference]:
+def references(composed: Composed, keys: Keys, raw: object) -> Iterator[Reference]:
     """Yield all config keys that an interpolation such as ``${env.decimation}`` needs, directly or indirectly."""
     tree = composed.raw_tree
     waiting, seen = [(keys, raw)], {keys}
@@ -133,8 +133,8 @@ class Explanation:
 
     key: str
     kind: Kind
-    value: Any = None
-    raw: Any = None
+    value: object = None
+    raw: object = None
     has_value: bool = False
     unit: str | None = None
     meanings: tuple[Meaning, ...] = ()
@@ -143,7 +143,7 @@ class Explanation:
     alternatives: Alternatives = field(default_factory=Alternatives)
     mount: Mount | None = None
     option: str | None = None
-    children: tuple[tuple[str, Any], ...] = ()
+    children: tuple[tuple[str, object], ...] = ()
     is_read: bool = True
 
 
@@ -175,7 +175,7 @@ def explain_key(composed: Composed, key: str) -> Explanation:
     return explained
 
 
-def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[Mount]) -> Explanation | None:
+def _present(composed: Composed, tree: dict[str, object], keys: Keys, found: list[Mount]) -> Explanation | None:
     if not keys or not _is_there(tree, keys):
         return None
     raw, value, slot = at(tree, keys), at(composed.config, keys), key_slots.slot(tree, keys)
@@ -208,14 +208,14 @@ def _present(composed: Composed, tree: dict[str, Any], keys: Keys, found: list[M
     return replace(explained, raw=raw if refers else None, references=refers)
 
 
-def _is_there(tree: Any, keys: Keys) -> bool:
+def _is_there(tree: object, keys: Keys) -> bool:
     parent = at(tree, keys[:-1])
     if isinstance(parent, Mapping):
         return keys[-1] in parent
     return isinstance(parent, list) and keys[-1].isdigit() and int(keys[-1]) < len(parent)
 
 
-def _removed(composed: Composed, tree: dict[str, Any], keys: Keys) -> Explanation | None:
+def _removed(composed: Composed, tree: dict[str, object], keys: Keys) -> Explanation | None:
     path = dotted(keys)
     term = next((keys[:n] for n in (3, 5) if key_slots.section_of(keys[:n]) is not None), None)
     if term is not None and dotted(term) in composed.removed_terms:
@@ -246,7 +246,7 @@ def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
     return Explanation(dotted(keys), "not selected", mount=mount, option=option)
 
 
-def _not_set(tree: dict[str, Any], keys: Keys) -> Explanation | None:
+def _not_set(tree: dict[str, object], keys: Keys) -> Explanation | None:
     slot = key_slots.slot(tree, keys)
     named, parent = key_slots.slots(tree, keys[:-1]), at(tree, keys[:-1])
     # In a section that accepts any key, a key that is similar to an existing key is probably a spelling mistake.

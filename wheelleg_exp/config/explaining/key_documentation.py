@@ -9,12 +9,11 @@ from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from wheelleg_exp.config.tree_lookup import yaml_node
 
 # ``FIELDS`` maps each term field that managers read to its description and default (``...`` if it is required).
-FIELDS: dict[str, tuple[str, Any]] = {
+FIELDS: dict[str, tuple[str, object]] = {
     "weight": ("factor on the term; a step adds weight times value times the control step to the return", ...),
     "time_out": ("whether the episode is only cut off: it ends, but has not failed", False),
     "mode": ("when it runs: prestartup and startup once, reset at each reset, interval after random waits", ...),
@@ -198,19 +197,19 @@ def unit_in(text: str) -> str | None:
     return None
 
 
-def summary(target: Any) -> str:
+def summary(target: object) -> str:
     """Return the first paragraph of the docstring of an object, on one line."""
     text = inspect.getdoc(target) or ""
     return " ".join(text.strip().split("\n\n")[0].split())
 
 
-def headline(target: Any) -> str:
+def headline(target: object) -> str:
     """Return the first line of the docstring of an object."""
     text = (inspect.getdoc(target) or "").strip()
     return text.splitlines()[0] if text else ""
 
 
-def parameter_lines(target: Callable[..., Any]) -> dict[str, str]:
+def parameter_lines(target: Callable[..., object]) -> dict[str, str]:
     """Return the description of each parameter in the docstrings of a function, or of a class and its base classes."""
     if not inspect.isclass(target):
         return parameters_in(inspect.getdoc(target) or "")
@@ -239,6 +238,6 @@ def parameters_in(text: str) -> dict[str, str]:
     return found
 
 
-def is_own(module: ModuleType, found: Any) -> bool:
+def is_own(module: ModuleType, found: object) -> bool:
     """Return whether an object is defined, not only imported, in a module or the module's submodules."""
     return f"{getattr(found, '__module__', None)}.".startswith(f"{module.__name__}.")
