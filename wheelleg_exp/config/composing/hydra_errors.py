@@ -255,7 +255,8 @@ def spaced(overrides: Sequence[str]) -> ConfigError | None:
 def parse_override(text: str, loader: Loader | None = None) -> Override:
     """Parse an override; raise ConfigError for a text that is not an override. ``glob(...)`` needs the ``loader``."""
     try:
-        override = OverridesParser.create(config_loader=loader).parse_override(text)
+        override = OverridesParser.create().parse_override(text)
+        override.config_loader = loader
     except HydraException as error:
         reason = str(error).splitlines()[0].partition(" expecting ")[0]
     else:
