@@ -252,7 +252,7 @@ class SubmititLauncher(Queue):
         self._errors = (submitit.core.utils.FailedJobError, OSError)
         own = {f"{cluster}_{key}": settings[key] for key in _EXECUTOR_SETTINGS if key in settings}
         try:
-            self._executor = submitit.AutoExecutor(folder=settings["submitit_folder"], cluster=cluster, **own)
+            self._executor = submitit.AutoExecutor(folder=str(settings["submitit_folder"]), cluster=cluster, **own)
             keys = {key: key if key in _SHARED_SETTINGS else f"{cluster}_{key}" for key in settings}
             chosen = {keys[key]: value for key, value in settings.items() if key not in _OTHER_SETTINGS}
             self._executor.update_parameters(**chosen)
