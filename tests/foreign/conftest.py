@@ -14,7 +14,7 @@ from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.jobs import play_policy
 from wheelleg_exp.jobs.train import run_training
-from wheelleg_exp.report import inline_svg
+from wheelleg_exp.report import plot_images
 from wheelleg_exp.report.page_blocks import Plot
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -50,7 +50,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     def once(overrides=(), *, primary="train", config_dirs=()):
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
-    monkeypatch.setattr(inline_svg, "_plot", lambda panel, prefix: Plot("", panel.title))
+    monkeypatch.setattr(plot_images, "_plot", lambda panel: Plot(None, panel.title))
     monkeypatch.setattr(play_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
 
