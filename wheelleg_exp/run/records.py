@@ -198,13 +198,14 @@ class Ranks:
 class RunRecord(ProcessRecord):
     """The content of a run's ``manifest.json``."""
 
-    status: str
+    # Without ``field()``, these keys would be optional, with the defaults of the base class.
+    status: str = field()
     task: str
     started: str
     results: Mapping[str, object]
-    resumes: tuple[Resume, ...]
+    resumes: tuple[Resume, ...] = field()
     additions: tuple[Addition, ...]
-    files: Mapping[str, FileRecord]
+    files: Mapping[str, FileRecord] = field()
     id: str | None = None
     working_directory: str | None = None
     recording_unfinished: str | None = None
