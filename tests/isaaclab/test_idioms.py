@@ -9,7 +9,6 @@ from wheelleg_exp.isaaclab.managers import ManagerTermBase, SceneEntityCfg
 from wheelleg_exp.isaaclab.utils import string
 from wheelleg_exp.isaaclab.utils.buffers import CircularBuffer, DelayBuffer
 from wheelleg_exp.managers import TermBase
-from wheelleg_exp.state import made
 from wheelleg_exp.terms.term_binding import takes_cfg
 
 N, J = 4, 4
@@ -183,8 +182,6 @@ def test_there_are_as_many_idioms_as_the_page_states_and_the_config_is_read_only
 def test_buffers_store_the_last_samples_of_each_environment():
     """The first sample after a reset also fills the older places, as in Isaac Lab."""
     late, again = (DelayBuffer(history_length=2, batch_size=3, device="cpu") for _ in range(2))
-    made(late)
-    made(again)
     late.set_time_lag(torch.tensor([0, 1, 2]))
     seen = [late.compute(torch.full((3, 1), float(k)))[:, 0].tolist() for k in range(4)]
     assert seen == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [3.0, 2.0, 1.0]]

@@ -12,7 +12,6 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.train.run_training import StuckCurricula
 from wheelleg_exp.mdp.curriculums import action_delay_levels, command_levels_by_skill, terrain_levels_by_distance
 from wheelleg_exp.mdp.terminations import terrain_tile_left
-from wheelleg_exp.state import made
 
 approx = pytest.approx
 N, LONGEST = 4, 10
@@ -74,7 +73,6 @@ def by_skill(world, **settings):
     curriculum = command_levels_by_skill(
         world, {"lin_vel_x": [-0.4, 0.4]}, std={"lin_vel_x": 0.1}, step={"lin_vel_x": 0.06}, **given
     )
-    made(curriculum)
     return curriculum
 
 

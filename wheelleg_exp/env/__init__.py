@@ -4,9 +4,7 @@
 |---|---|
 | `env` | the environment: build, step, reset, state |
 | `isaaclab_attributes` | further attributes of Isaac Lab's environments |
-| `env_attributes` | attributes that terms put on the environment: saved; state anywhere else: rejected |
 | `graph_capture` | parts of the step as CUDA graphs |
-| `captured_values` | values on which such a graph depends, and values that it changes |
 """
 
 from wheelleg_exp.env.env import ManagerBasedRLEnv, Observations, StepResult

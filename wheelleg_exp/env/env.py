@@ -31,17 +31,7 @@ from wheelleg_exp.terms.config_sections import plain_section
 _BYTES_PER_ENV = 10_000
 _MANAGERS = ("event", "command", "recorder", "action", "observation", "termination", "reward", "curriculum")
 # The environment or its caller sets these attributes. A curriculum or a user-defined term can set all others.
-_OWN = (
-    "seed",
-    "common_step_counter",
-    "extras",
-    "keep_final_obs",
-    "autoreset",
-    "observers",
-    "cfg",
-    "options",
-    "graph_capture",
-)
+_OWN = ("seed", "common_step_counter", "extras", "keep_final_obs", "autoreset", "observers")
 
 Observations = dict[str, Group]
 AutoresetMode = Literal["same_step", "next_step", "disabled"]
@@ -96,17 +86,19 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.scene.play()
         self.event_manager.play()
         self.command_manager = managers.CommandManager(options.commands, self)
-        self.recorder_manager = managers.RecorderManager(options.recorders, options.dataset, self)
+        recorders = managers.RecorderManager(options.recorders, options.dataset, self)
+        self.recorder_manager: managers.RecorderManager = recorders
         self.action_manager = managers.ActionManager(options.actions, self)
         self.observation_manager = managers.ObservationManager(options.observations, self)
         self.termination_manager = managers.TerminationManager(options.terminations, self)
         self.reward_manager = managers.RewardManager(options.rewards, self)
-        self.curriculum_manager = managers.CurriculumManager(options.curriculum, self)
+        curriculum = managers.CurriculumManager(options.curriculum, self)
+        self.curriculum_manager: managers.CurriculumManager = curriculum
         self.event_manager.apply(
             "startup", with_errors=torch.arange(self.exact_envs, self.num_envs, device=self.device)
         )
         self.reward_buf = self.buffer("reward_buf", torch.zeros(self.num_envs, device=self.device))
-        self.reset_order = [
+        self.reset_order: list[Any] = [
             *(self.observation_manager, self.action_manager, self.reward_manager, self.curriculum_manager),
             *(self.command_manager, self.event_manager, self.termination_manager, self.recorder_manager),
         ]

@@ -355,7 +355,7 @@ class GraphCapture:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
         # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
-        self._reset_later = [env.curriculum_manager, env.recorder_manager]
+        self._reset_later: list[Any] = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
         self._env, self._make_graph = env, make_graph
         self.values = Values(env)

@@ -104,6 +104,7 @@ class Term(Stateful):
     def __post_init__(self) -> None:
         self.number("params", self.params, saved=False)
         self.number("fields", self.fields, saved=False)
+        self.number("arguments", self.arguments, saved=False)
         self.number("_has_worked", False, saved=False)
 
     def __getattr__(self, name: str) -> Any:
@@ -174,7 +175,7 @@ class Term(Stateful):
         if self._make is None or self._keeps_params or self.arguments == self._made_with:
             return
         assert self.stateful is not None
-        adopt(self.stateful, self._make(), self.path)
+        adopt(self.stateful, self._make())
         self._made_with = copy.deepcopy(self.arguments)
 
     def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:

@@ -62,9 +62,6 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
         raise RunDirectoryError(message, key=str(path), expected=f"version {FORMAT_VERSION}")
     if finite:
         _require_finite(state, path)
-    for part in [state, *state.get("ranks", ())] if state["format_version"] == 2 else ():
-        if "env" in part:
-            part["env"] = from_format_2(part["env"])
     return state
 
 
@@ -106,6 +103,12 @@ def _require_finite(state: Mapping[str, Any], path: Path) -> None:
                 message = f"{bad} of the {value.numel()} numbers of {where} are NaN or inf"
                 expected = "a checkpoint with finite parameters, perhaps an earlier one of this run"
                 raise RunDirectoryError(message, key=str(path), expected=expected)
+
+
+def env_state(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state of the environment in the present layout; an empty dictionary if there is none."""
+    found: dict[str, Any] = state.get("env") or {}
+    return from_format_2(found) if found and state["format_version"] == 2 else found
 
 
 def require_resumable(state: Mapping[str, Any]) -> None:

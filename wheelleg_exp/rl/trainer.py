@@ -218,7 +218,7 @@ class Trainer:
             self.algorithm.load(dict(saved), None, True)
             load_unsaved_state(self.algorithm, saved["unsaved"])
             self.average.load_state_dict(saved)
-            self.env.env.load_state_dict(saved["env"])
+            self.env.env.load_state_dict(checkpoint.env_state(saved))
             self.log.load_state_dict(saved["log"])
             # Restore the state of random generators last, because loading the networks can draw random numbers.
             torch.set_rng_state(saved["rng"]["torch"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -155,7 +155,7 @@ class BatchEngine(Engine):
             "at_set_const": at_set_const,
         }
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         # Repeat the last ``set_const`` call before the checkpoint, with that call's fields; then load all saved fields.
         fields, then = saved["model_fields"], saved["at_set_const"]
         for name in fields:

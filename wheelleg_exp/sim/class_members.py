@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 
@@ -12,21 +12,33 @@ from wheelleg_exp.errors import ConfigError
 
 _Class = TypeVar("_Class", bound=type)
 
+if TYPE_CHECKING:
 
-def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> property:
+    class TensorProperty:
+        """A property that gives a tensor."""
+
+        def __init__(self, get: Callable[[Any], torch.Tensor], *, doc: str | None = None) -> None: ...
+
+        def __get__(self, instance: object, owner: type | None = None) -> torch.Tensor: ...
+
+else:
+    TensorProperty = property
+
+
+def cached_until_change(compute: Callable[[Any], torch.Tensor]) -> TensorProperty:
     """Make a property that computes and caches its value at the first read after each change of the robot's state."""
     name = compute.__name__
 
     def get(self: Any) -> torch.Tensor:
-        value = self._cache.get(name)
+        value: torch.Tensor | None = self._cache.get(name)
         if value is None:
             value = self._cache[name] = compute(self)
         return value
 
-    return property(get, doc=compute.__doc__)
+    return TensorProperty(get, doc=compute.__doc__)
 
 
-def joined(first: str, second: str, doc: str) -> property:
+def joined(first: str, second: str, doc: str) -> TensorProperty:
     """Make a cached property that concatenates the tensors of two properties, such as a position and a quaternion."""
 
     def compute(self: Any) -> torch.Tensor:

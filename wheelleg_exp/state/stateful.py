@@ -190,12 +190,10 @@ def register_undeclared(owner: object, owned: frozenset[int] = frozenset()) -> N
     for name, value in vars(owner).copy().items():
         if name == _DECLARED or name in declarations(owner) or not _is_registrable(value, owned):
             continue
-        if isinstance(value, torch.Tensor):
-            declared = Declaration("buffer", is_automatic=True)
-        elif isinstance(value, Stateful):
-            declared = Declaration("part", is_automatic=True)
-        else:
-            declared = Declaration("number", encoded(value), is_automatic=True)
+        kind: Kind = "number" if isinstance(owner, Stateful) else "setting"
+        kind = "buffer" if isinstance(value, torch.Tensor) else "part" if isinstance(value, Stateful) else kind
+        initial = encoded(value) if kind in ("number", "setting") else None
+        declared = Declaration(kind, initial, is_automatic=kind != "setting")
         _declare(owner, name, value, declared)
 
 

@@ -14,9 +14,9 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state.stateful import declarations, tree
 from wheelleg_exp.state.values import PLAIN, encoded, same
 
-# These attributes are not state: the declarations themselves, and a term's arguments, which ``Settings`` saves.
-# The robot's list of written rows is empty between steps.
-_IGNORED = frozenset(("_declared", "arguments", "_made_with", "_stale"))
+# These attributes are not state: the declarations themselves, the arguments from which a term's object was made, and
+# the robot's list of written rows, which is empty between steps.
+_IGNORED = frozenset(("_declared", "_made_with", "_stale"))
 _CONTAINERS = (list, tuple, dict, set, frozenset, deque)
 _OTHER = object()
 

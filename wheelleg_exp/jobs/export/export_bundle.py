@@ -273,7 +273,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[
     found: dict[str, dict[str, list[float]]] = {}
     for name in env.command_manager.active_terms:
         ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
-        term = state.get("env", {}).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
+        term = checkpoints.env_state(state).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
         changed = (term.get("object") or {}).get("ranges")
         found[name] = ranges if changed is None else changed
     return found
@@ -281,7 +281,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[
 
 def _require_unchanged(state: Mapping[str, Any]) -> None:
     """Raise ConfigError if a curriculum changed settings of action terms or observation terms during training."""
-    managers = state.get("env", {}).get("managers", {})
+    managers = checkpoints.env_state(state).get("managers", {})
     terms = {f"env.actions.{name}": term for name, term in managers.get("actions", {}).get("terms", {}).items()}
     for group, found in managers.get("observations", {}).get("groups", {}).items():
         terms |= {f"env.observations.{group}.terms.{name}": term["term"] for name, term in found.items()}

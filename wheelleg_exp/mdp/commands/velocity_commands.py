@@ -64,7 +64,7 @@ class UniformVelocityCommand(RangedCommand):
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         self.take_ranges(ranges, get_args(VelocityAxis))
         limits = {axis: list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
-        self.limit_ranges = self.setting("limit_ranges", limits)
+        self.limit_ranges = self.setting("limit_ranges", {str(axis): pair for axis, pair in limits.items()})
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Mapping
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
@@ -142,7 +143,7 @@ class PhysxEngine(BatchEngine):
         self._fields_changed = True
         super().set_const()
 
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
         self._fields_changed = True
         self._last_read.fill_(torch.nan)

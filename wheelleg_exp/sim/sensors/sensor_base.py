@@ -153,6 +153,8 @@ class LazySensor(SensorBase):
     def __init__(self, update_period: NonNegative = 0.0) -> None:
         super().__init__(update_period)
 
+    _data: Any
+
     def sense(self, ids: torch.Tensor | slice) -> None:
         """Update the measurements of the environments ``ids``; a slice means all environments."""
         raise NotImplementedError("a lazy sensor must define the method 'sense(ids)'")
