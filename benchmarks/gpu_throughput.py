@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.rl.options import read_agent
 
 prepare_threads()
 
@@ -169,7 +170,8 @@ def train(overrides: list[str], num_envs: int, device: str, iterations: int) -> 
 
     composed = compose([*overrides, f"env.num_envs={num_envs}", f"agent.device={device}"])
     env = build_env(composed.config, asset_roots=composed.asset_roots)
-    trainer = Trainer(RslRlVecEnv(env, composed.config["agent"].get("clip_actions")), composed.config["agent"], 0)
+    agent = read_agent(composed.config["agent"])
+    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, 0)
     collected, learned = [], []
     for done in trainer.learn(until=iterations):
         if done.index >= iterations // 2:

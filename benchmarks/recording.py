@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from wheelleg_exp.machine import prepare_threads
+from wheelleg_exp.rl.options import read_agent
 
 prepare_threads()
 
@@ -73,7 +74,7 @@ class Inside:
 
 def side(config: dict[str, Any], roots: Any) -> Side:
     """Build one of the two trainings."""
-    trainer = Trainer(RslRlVecEnv(build_env(config, roots)), config["agent"], config["seed"])
+    trainer = Trainer(RslRlVecEnv(build_env(config, roots)), read_agent(config["agent"]), config["seed"])
     return Side(trainer, trainer.learn(until=10**9), torch.get_rng_state())
 
 

@@ -29,6 +29,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from wheelleg_exp.machine import PORTABLE_KERNELS, WIDE_KERNELS, prepare_threads
+from wheelleg_exp.rl.options import read_agent
 
 prepare_threads()
 
@@ -92,7 +93,7 @@ def measure(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
     """Return the median seconds of each named update (``stock``, ``ours``), and the settings of the measurement."""
     agent = compose(["task=stand", *args.overrides]).config["agent"]
     torch.set_num_threads(args.threads)
-    matmul = chosen_matmul({**agent, "matmul": args.matmul})
+    matmul = chosen_matmul(read_agent({**agent, "matmul": args.matmul}))
     kinds = {"stock": "float32", "ours": matmul}
     algorithms = {name: stock(agent, args.envs) for name in names}
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from wheelleg_exp.asset.conversion_cache import find_extra_files
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
+from wheelleg_exp.sim.options import EnvOptions, read_env
 
 
 def prepare_asset(
@@ -32,12 +34,12 @@ def prepare_asset(
 def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> ManagerBasedRLEnv:
     """Build the simulated environment that a composed config describes."""
     mjcf = prepare_asset(config, asset_roots).output
-    return ManagerBasedRLEnv(with_robot_file(config["env"], asset_roots), mjcf, int(config["seed"]))
+    return ManagerBasedRLEnv(with_robot_file(read_env(config["env"]), asset_roots), mjcf, int(config["seed"]))
 
 
-def with_robot_file(env: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> Mapping[str, Any]:
-    """Return an ``env`` section with the absolute path of the robot file, if the engine ``physx`` reads this file."""
-    if env["sim"]["engine"] != "physx":
+def with_robot_file(env: EnvOptions, asset_roots: Sequence[Path] = ()) -> EnvOptions:
+    """Return the environment's options with the robot file's absolute path, if the engine ``physx`` reads this file."""
+    if env.sim.engine != "physx":
         return env
-    usd = find_asset(env["robot"]["asset"], asset_roots, key="env.robot.asset").resolve()
-    return {**env, "robot": {**env["robot"], "asset": str(usd)}}
+    usd = find_asset(env.robot.asset, asset_roots, key="env.robot.asset").resolve()
+    return replace(env, robot=replace(env.robot, asset=str(usd)))

@@ -11,7 +11,7 @@ from wheelleg_exp.config.composing.compose import apply_overrides, compose
 from wheelleg_exp.config.explaining.catalog import library
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rl.options import require_agent
+from wheelleg_exp.rl.options import read_agent, require_agent
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import write_params
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -277,7 +277,7 @@ def test_building_the_agent_refuses_a_wrong_value_with_the_same_message(override
     tree = apply_overrides(stand[0], [override])
     checked = [str(error) for error in check_tree(tree, schema.Experiment)]
     with pytest.raises(ConfigError) as caught:
-        require_agent(tree["agent"], 2)
+        require_agent(read_agent(tree["agent"]), 2)
     assert [str(caught.value)] == checked
 
 

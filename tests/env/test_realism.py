@@ -13,8 +13,10 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_realism, without_disturbances, without_realism
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.plain_data import require_plain
 from wheelleg_exp.sim.delay import DelayBuffer
 from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.terms.config_sections import plain_section
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations."
 TASKS = ("stand", "walk", "velocity", "terrain")
@@ -67,6 +69,7 @@ def test_without_disturbances_nothing_pushes_the_robot_and_readings_are_exact(va
     given, before = read_env(cfg), read_env(cfg)
     calm = without_disturbances(given)
     assert given == before
+    require_plain(plain_section(calm))  # The config of a play is saved as YAML.
     lost = {"kicks", "poke", "load"}
     assert calm.events.keys() == before.events.keys() - lost
     assert calm.curriculum.keys() == before.curriculum.keys() - {"harder"}

@@ -17,6 +17,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.ranks import Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -69,7 +70,7 @@ def alone(rank: int, mjcf: Path) -> Trainer:
     """Return the trainer of one of two ranks, alone in this process."""
     config, ranks = compose(DESCENT).config, Ranks(rank)
     env = ManagerBasedRLEnv(config["env"], mjcf, ranks.seed(config["seed"]))
-    return Trainer(RslRlVecEnv(env), config["agent"], config["seed"], ranks=ranks)
+    return Trainer(RslRlVecEnv(env), read_agent(config["agent"]), config["seed"], ranks=ranks)
 
 
 def weights(trainer: Trainer) -> dict[str, torch.Tensor]:

@@ -340,7 +340,7 @@ def test_a_resume_multiplies_as_the_run_did_whatever_the_cpu_has(run, monkeypatc
     change_manifest(run, threads={**manifest(run)["threads"], "matmul": kind})
     monkeypatch.setattr("wheelleg_exp.rl.matmul.has_units", lambda: kind == "float32")
     used = []
-    monkeypatch.setattr(trainer, "chosen_matmul", lambda agent: used.append(agent["matmul"]) or agent["matmul"])
+    monkeypatch.setattr(trainer, "chosen_matmul", lambda agent: used.append(agent.matmul) or agent.matmul)
     assert (resume(run, "agent.max_iterations=5").status, used, manifest(run)["threads"]["matmul"]) == (0, [kind], kind)
 
 

@@ -35,6 +35,7 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl import export as export_module
 from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -116,7 +117,7 @@ def test_the_parameters_build_the_same_environment(trained, rebuilt):
 
 def test_the_parameters_and_a_checkpoint_build_the_exported_policy(trained, params, rebuilt):
     adapter = RslRlVecEnv(rebuilt)
-    policy = load_policy(trained.run.latest_checkpoint(), adapter, params[1])
+    policy = load_policy(trained.run.latest_checkpoint(), adapter, read_agent(params[1]))
     seen = adapter.get_observations()
     with torch.no_grad():
         expected = policy(seen).numpy()

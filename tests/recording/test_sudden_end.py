@@ -28,7 +28,7 @@ _SCRIPT = """
     options = {"enabled": True, "env_ids": [0], "interval": 50, "steps": 300, "max_mb": 200.0, "live": False}
     directory = RunDirectory.create(root, "stand", 0)
     about = {"purpose": "play", "name": "n", "about": {}, "documents": {}}
-    play = EpisodeRecording(root / "play.rrd", play_env, options, **about)
+    play = EpisodeRecording(root / "play.rrd", play_env, RecordingOptions(**options), **about)
     train = TrainingRecording(directory, train_env, RecordingOptions(**options), {})
     print(directory.recording, flush=True)
     with torch.inference_mode(), play, train:

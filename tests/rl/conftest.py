@@ -17,6 +17,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.paths import find_asset
 from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -51,7 +52,8 @@ def make_trainer(mjcf: Path, tiny_config: Callable[..., dict[str, Any]]) -> Make
     def make(*overrides: str, seed: int = 0) -> Trainer:
         config = tiny_config(*overrides)
         env = ManagerBasedRLEnv(config["env"], mjcf, seed)
-        return Trainer(RslRlVecEnv(env, config["agent"].get("clip_actions")), config["agent"], seed)
+        agent = read_agent(config["agent"])
+        return Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed)
 
     return make
 

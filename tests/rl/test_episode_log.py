@@ -95,7 +95,7 @@ def test_a_saved_state_does_not_change_in_later_steps():
 
 @pytest.mark.parametrize(("num_envs", "share", "allowed"), [(1, 0.1, 1), (16, 0.1, 1), (512, 0.1, 51), (512, 0.0, 1)])
 def test_one_failed_episode_and_a_share_of_many_are_always_allowed(num_envs, share, allowed):
-    count = FailureCount(num_envs, {"max_non_finite": share})
+    count = FailureCount(num_envs, share)
     for _ in range(allowed):
         count.take({"non_finite": {"keys": {0: ["env.sim"]}, "evidence": {}}})
     count.require_few("by now")
@@ -105,7 +105,7 @@ def test_one_failed_episode_and_a_share_of_many_are_always_allowed(num_envs, sha
 
 
 def test_episodes_that_the_actions_end_are_the_policys_fault():
-    count = FailureCount(1, {})
+    count = FailureCount(1, 0.1)
     count.take({"non_finite": {"keys": {0: ["env.actions"], 1: ["env.actions"]}, "evidence": {}}})
     with pytest.raises(SimulationFailure, match="the policy has diverged") as caught:
         count.require_few("by now")

@@ -20,6 +20,7 @@ from patience import PATIENCE_S
 from tensordict import TensorDict
 
 from wheelleg_exp.rl import export
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.verify.policy_differences import exported_part
 
@@ -47,7 +48,7 @@ def model(policy) -> bytes:
 
 @pytest.fixture(scope="module")
 def described(trainer, tiny_config):
-    return json.loads(export.description(trainer.env.env, tiny_config()["agent"], 41))
+    return json.loads(export.description(trainer.env.env, read_agent(tiny_config()["agent"]), 41))
 
 
 def by_hand(policy, observations: torch.Tensor) -> np.ndarray:
@@ -202,7 +203,7 @@ def test_the_description_holds_the_rest_that_a_deployer_needs(trainer, described
 
 def test_the_description_lists_several_groups_in_order_and_clipped_actions(trainer, tiny_config):
     agent = tiny_config("agent.obs_groups.actor=[critic,policy]", "+agent.clip_actions=0.7")["agent"]
-    found = json.loads(export.description(trainer.env.env, agent, 0))
+    found = json.loads(export.description(trainer.env.env, read_agent(agent), 0))
     assert (found["observation_width"], found["clip_actions"]) == (315, 0.7)
     assert found["observations"][0] == {"group": "critic", "term": "base_ang_vel", "start": 0, "stop": 15}
     assert found["observations"][-1] == {"group": "policy", "term": "travel_error", "start": 305, "stop": 315}

@@ -4,6 +4,7 @@ import copy
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -15,9 +16,13 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.torch_threads import dependent_products, set_threads
 from wheelleg_exp.rl import matmul
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, has_units, linear
+from wheelleg_exp.rl.options import Agent
 
 HALF_STEP = 2.0**-8  # This is the largest relative rounding error of bfloat16.
-AGENT = {"device": "cpu", "torch_threads": 1, "algorithm": {}, "matmul": "auto"}
+AGENT = Agent(
+    **{"device": "cpu", "torch_threads": 1, "algorithm": {}, "matmul": "auto", "actor": {}, "critic": {}},
+    **{"num_steps_per_env": 24, "max_iterations": 1, "save_interval": 1, "obs_groups": {}},
+)
 
 
 def drawn(rows=96, inputs=135, outputs=64):
@@ -162,14 +167,14 @@ def test_without_onednn_there_are_no_units(units, monkeypatch):
 )
 def test_gpus_take_tf32_and_compiled_networks_float32(units, other, found, refused):
     units(True)
-    assert chosen_matmul({**AGENT, **other}) == found
+    assert chosen_matmul(replace(AGENT, **other)) == found
     with pytest.raises(ConfigError, match=r"agent\.matmul"):
-        chosen_matmul({**AGENT, **other, "matmul": refused})
+        chosen_matmul(replace(AGENT, **other, matmul=refused))
 
 
 def test_a_run_of_before_the_key_had_float32(units):
     units(True)
-    assert chosen_matmul({key: value for key, value in AGENT.items() if key != "matmul"}) == "float32"
+    assert chosen_matmul(replace(AGENT, matmul=Agent.matmul)) == "float32"
 
 
 # --- in a training ---

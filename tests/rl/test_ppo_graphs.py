@@ -117,7 +117,7 @@ with joined() as ranks:
     config, said = compose(words).config, []
     for is_ours in (True, False):
         env = ManagerBasedRLEnv(config["env"], Path(mjcf), ranks.seed(0))
-        trainer = Trainer(RslRlVecEnv(env, None), config["agent"], 0, ranks=ranks)
+        trainer = Trainer(RslRlVecEnv(env, None), read_agent(config["agent"]), 0, ranks=ranks)
         algorithm = trainer.algorithm
         assert is_plain_ppo(algorithm) and algorithm.is_multi_gpu
         algorithm.broadcast_parameters()

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 import torch
 from jobs.ranks import SIZE, end, start
 
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import ranks
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks, joined
+from wheelleg_exp.sim.options import read_env
 
 pytestmark = pytest.mark.slow
 
@@ -100,18 +104,15 @@ def test_a_single_process_sends_nothing_and_other_processes_have_their_own_strea
 def test_each_process_has_its_own_gpu_and_its_share_of_the_cores(monkeypatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr("wheelleg_exp.rl.ranks.usable_cores", lambda: 8)
-    config = {"agent": {"device": "cuda"}, "env": {"sim": {"device": "cpu", "nthread": 0}, "num_envs": 3}}
-    own = Ranks(3, 4, 1, 2).config(config)
-    assert own == {"agent": {"device": "cuda:1"}, "env": {"sim": {"device": "cpu", "nthread": 4}, "num_envs": 3}}
-    assert config["agent"] == {"device": "cuda"}
-    assert ALONE.config(config) == config
+    config = compose(["task=stand", "env.sim.nthread=0", "agent.device=cuda"]).config
+    env, agent, second = read_env(config["env"]), read_agent(config["agent"]), Ranks(3, 4, 1, 2)
+    assert second.env(env) == replace(env, sim=replace(env.sim, nthread=4))
+    assert second.agent(agent) == second.agent(replace(agent, device="cuda:0")) == replace(agent, device="cuda:1")
+    assert (ALONE.env(env), ALONE.agent(agent)) == (env, agent)
     with pytest.raises(ConfigError, match=r"agent\.device: there are 3 processes on this machine and 2 GPUs"):
-        Ranks(2, 3, 2, 3).config(config)
-    one = {**config, "agent": {"device": "cuda:0"}}
-    assert Ranks(3, 4, 1, 2).config(one) == own
-    one = {**config, "agent": {"device": "cuda:1"}}
+        Ranks(2, 3, 2, 3).agent(agent)
     with pytest.raises(ConfigError, match=r"all 4 processes would share 'cuda:1'; expected cuda"):
-        Ranks(3, 4, 1, 2).config(one)
+        second.agent(replace(agent, device="cuda:1"))
 
 
 def test_variables_that_are_not_torchruns_are_refused(monkeypatch):

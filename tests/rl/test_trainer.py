@@ -12,6 +12,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 from .conftest import saved, without_times
@@ -53,14 +54,14 @@ def test_the_seed_decides_the_first_weights(make_trainer):
 def test_the_agent_section_is_left_as_it_was(adapter, tiny_config):
     agent = tiny_config()["agent"]
     before = repr(agent)
-    build_algorithm(adapter, agent)
+    build_algorithm(adapter, read_agent(agent))
     assert repr(agent) == before
 
 
 def test_an_unknown_observation_group_is_reported_with_the_nearest(adapter, tiny_config):
     agent = tiny_config()["agent"] | {"obs_groups": {"actor": ["polcy"], "critic": ["critic"]}}
     with pytest.raises(ConfigError) as caught:
-        build_algorithm(adapter, agent)
+        build_algorithm(adapter, read_agent(agent))
     error = caught.value
     assert (error.key, error.nearest) == ("agent.obs_groups.actor", "policy")
     assert "critic" in str(error.expected)
@@ -84,7 +85,7 @@ def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(adapter, tiny_co
     agent = tiny_config()["agent"]
     changed = value if section == "device" else agent[section] | value
     with pytest.raises(ConfigError, match=r"agent\.device" if section == "device" else "agent") as caught:
-        build_algorithm(adapter, agent | {section: changed})
+        build_algorithm(adapter, read_agent(agent | {section: changed}))
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -177,7 +178,7 @@ def test_nothing_but_the_checkpoint_decides_what_comes(make_trainer, straight, s
 
 def test_a_checkpoint_of_other_networks_does_not_fit(adapter, tiny_config, stopped):
     with pytest.raises(RunDirectoryError) as caught:
-        load_policy(stopped, adapter, tiny_config("agent.actor.hidden_dims=[4]")["agent"])
+        load_policy(stopped, adapter, read_agent(tiny_config("agent.actor.hidden_dims=[4]")["agent"]))
     assert str(stopped) in str(caught.value)
 
 

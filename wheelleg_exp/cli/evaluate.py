@@ -92,11 +92,12 @@ class Evaluator:
         run, checkpoint = policy.run, policy.checkpoint
         if self.stored:
             from wheelleg_exp.files import sha256
+            from wheelleg_exp.jobs.saved_evaluation import read_content, read_evaluation
 
-            tree = jobs.evaluation_settings(run, overrides, self.config_dirs)
-            folder = jobs.find_saved(run, sha256(checkpoint), tree, overrides)
+            settings = jobs.evaluation_settings(run, overrides, self.config_dirs)
+            folder = jobs.find_saved(run, sha256(checkpoint), settings, overrides)
             if folder is not None:
-                found, content = jobs.read_evaluation(folder), jobs.read_content(folder)
+                found, content = read_evaluation(folder), read_content(folder)
                 return jobs.Evaluated(run, checkpoint, folder, found, content)
         from wheelleg_exp.inspection.evaluation_plots import draw
 
@@ -189,7 +190,7 @@ def _compare(
     json: bool,
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
-    from wheelleg_exp.jobs.evaluate_policy import compare
+    from wheelleg_exp.jobs.compare_evaluations import compare
 
     found = compare(made, against, reference, command, engines=engines)
     if json:

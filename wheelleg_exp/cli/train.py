@@ -85,7 +85,7 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
 
     stop.check(ranks.any(stop.requested))
     ranks.require_equal(_digests(composed))
-    other_ranks.run_other_rank(other_ranks.prepare_other_rank(composed, ranks), composed.config["agent"], stop)
+    other_ranks.run_other_rank(*other_ranks.prepare_other_rank(composed, ranks), stop)
 
 
 def _digests(composed: Composed) -> dict[str, str]:

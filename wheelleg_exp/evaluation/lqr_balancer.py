@@ -86,7 +86,7 @@ class Pendulum:
         whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
         a, b = whole[:4, :4], whole[:4, 4:]
         cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
-        return np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0]
+        return np.asarray(np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0])
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
@@ -180,12 +180,12 @@ class Reference:
         self._place, self._heading, self._lean = torch.zeros(3, env.num_envs, device=device).unbind()
         self._before = torch.zeros(3, env.num_envs, device=device)
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the pendulum model and the LQR gains as a dictionary for JSON."""
         model = {"pendulum": asdict(self.pendulum), "pole_per_s": self.pendulum.pole, "gains": self.gains.tolist()}
         return {**model, "integrator_per_s": self.pendulum.pole, "bandwidth_per_s": self.bandwidth}
 
-    def __call__(self, observations: Mapping[str, Any] | None = None) -> torch.Tensor:
+    def __call__(self, observations: Mapping[str, object] | None = None) -> torch.Tensor:
         """Return raw actions (N, A). The observations are not used."""
         del observations
         env, data = self._env, self._env.scene.robot.data

@@ -32,17 +32,17 @@ LEVEL = 0.95  # confidence level
 
 def mean(columns: Sequence[Array]) -> Array:
     """Return the mean of a column over episodes."""
-    return columns[0].mean(axis=-1)
+    return np.asarray(columns[0].mean(axis=-1))
 
 
 def quadratic(columns: Sequence[Array]) -> Array:
     """Return the root mean square of a column over episodes, with equal weight for short and long episodes."""
-    return np.sqrt(np.square(columns[0]).mean(axis=-1))
+    return np.asarray(np.sqrt(np.square(columns[0]).mean(axis=-1)))
 
 
 def worst(columns: Sequence[Array]) -> Array:
     """Return the largest value of a column over all episodes."""
-    return columns[0].max(axis=-1)
+    return np.asarray(columns[0].max(axis=-1))
 
 
 def median(columns: Sequence[Array]) -> Array:
@@ -55,13 +55,13 @@ def gain(columns: Sequence[Array]) -> Array:
     command, velocity = columns
     centred = command - command.mean(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return (centred * velocity).sum(axis=-1) / np.square(centred).sum(axis=-1)
+        return np.asarray((centred * velocity).sum(axis=-1) / np.square(centred).sum(axis=-1))
 
 
 def skill(columns: Sequence[Array]) -> Array:
     """Return (score - still) / (1 - still): 0 for standing still, 1 for perfect tracking."""
     score, still = (column.mean(axis=-1) for column in columns)
-    return (score - still) / (1.0 - still)
+    return np.asarray((score - still) / (1.0 - still))
 
 
 def area(columns: Sequence[Array], band: float) -> Array:
@@ -78,7 +78,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
             sums = [np.where(mine, error, 0.0).sum(axis=-1) for error in errors]
             good = np.all([total <= band * count for total in sums], axis=0)
             passed.append(np.where(count > 0, good, np.nan))  # A bootstrap resample can lack all episodes of a command.
-        return np.nanmean(passed, axis=0)
+        return np.asarray(np.nanmean(passed, axis=0))
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
@@ -87,12 +87,14 @@ def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a velocity command, and numpy warns about means of empty arrays.
         warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
+        return np.asarray(
+            np.nanmin([of(np.where(cell == one, value, np.nan), axis=-1) for one in np.unique(cell)], axis=0)
+        )
 
 
 def all_of(columns: Sequence[Array]) -> Array:
     """Return the share of episodes in which all columns are 1."""
-    return np.prod(columns, axis=0).mean(axis=-1)
+    return np.asarray(np.prod(columns, axis=0).mean(axis=-1))
 
 
 worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, of=np.nanmean)
@@ -128,7 +130,7 @@ def everything(rows: Mapping[str, Array]) -> Array:
 
 def moving(rows: Mapping[str, Array]) -> Array:
     """Return the mask of the episodes with a nonzero command."""
-    return (rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0)
+    return np.asarray((rows["command_vx"] != 0.0) | (rows["command_wz"] != 0.0))
 
 
 def still(rows: Mapping[str, Array]) -> Array:
@@ -138,17 +140,17 @@ def still(rows: Mapping[str, Array]) -> Array:
 
 def surviving(rows: Mapping[str, Array]) -> Array:
     """Return the mask of the episodes with a nonzero command in which the robot never fell."""
-    return moving(rows) & (rows["survived"] == 1.0)
+    return np.asarray(moving(rows) & (rows["survived"] == 1.0))
 
 
 def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
     """Return the mask of the episodes in which ``column`` does not have the given value."""
-    return rows[column] != value
+    return np.asarray(rows[column] != value)
 
 
 def matching(rows: Mapping[str, Array], **values: Any) -> Array:
     """Return the mask of the episodes whose columns, such as ``level``, have the given values."""
-    return np.logical_and.reduce([rows[name] == value for name, value in values.items()])
+    return np.asarray(np.logical_and.reduce([rows[name] == value for name, value in values.items()]))
 
 
 def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array:

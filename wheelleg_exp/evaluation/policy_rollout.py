@@ -83,7 +83,7 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> 
         setattr(jump, "draw", draw_jump)  # noqa: B010
 
 
-Policy = Callable[[Mapping[str, Any]], torch.Tensor]
+Policy = Callable[[Mapping[str, object]], torch.Tensor]
 Progress = Callable[[int, int], None]
 Disturb = Callable[[int], None]
 

@@ -73,7 +73,7 @@ class Subject:
 
 
 def evaluate(
-    env: EnvOptions | Mapping[str, object],
+    env_cfg: EnvOptions | Mapping[str, object],
     mjcf: Path,
     make_policy: MakePolicy,
     protocol: Mapping[str, object],
@@ -82,14 +82,14 @@ def evaluate(
 ) -> Evaluation:
     """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
-    ``env`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a
+    ``env_cfg`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a
     policy, which maps observations by group to raw actions (N, A). Before each rollout, the policy's method ``reset``
     is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``progress`` is
     called with the name of a test, the number of finished control steps, and the number of all steps.
     """
     options = read_section(Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
-    subject = Subject(read_env(env), mjcf, make_policy, options, seed, progress)
+    subject = Subject(read_env(env_cfg), mjcf, make_policy, options, seed, progress)
     tables = _tables(options)
     parts = [_run(subject, table) for table in tables]
     found: dict[str, Figure] = {}

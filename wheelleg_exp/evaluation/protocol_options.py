@@ -28,7 +28,7 @@ Ground = Literal["flat", "own"]
 Speeds = Annotated[list[float], NotEmpty()]
 
 
-def _some_step(steps: Mapping[str, Any]) -> Iterator[Broken]:
+def _some_step(steps: Mapping[str, object]) -> Iterator[Broken]:
     if not steps["lin_vel_x"] and not steps["ang_vel_z"]:
         yield Broken("lin_vel_x", "the step test has no speed", "a speed here or in ang_vel_z")
 

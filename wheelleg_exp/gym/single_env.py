@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -29,7 +28,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         height: height of images, px.
     """
 
-    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 60}  # noqa: RUF012
+    metadata: dict[str, object] = {"render_modes": RENDER_MODES, "render_fps": 60}  # noqa: RUF012
 
     def __init__(
         self,
@@ -49,7 +48,9 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         self.metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(1 / self.env.step_dt)}
         self._pictures = task_env.Pictures(self.env, render_mode, width, height)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
+    ) -> tuple[Arrays, dict[str, object]]:
         """Start an episode; the argument ``seed`` restarts all random streams.
 
         If an episode was played before, the returned info contains its logged values as ``log``.
@@ -59,7 +60,7 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         observations, extras = self.env.reset(seed=seed)
         return _first(as_arrays(observations)), {"log": task_env.log_of(extras)} if has_run else {}
 
-    def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, object]]:
         """Advance the environment by one control step with a raw action (A,).
 
         If a reward or the physics becomes NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the

@@ -40,7 +40,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     The arguments from ``task`` to ``height`` have the same meaning as in ``WheellegEnv``.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
+    metadata: dict[str, object] = {  # noqa: RUF012
         "render_modes": RENDER_MODES,
         "render_fps": 60,
         "autoreset_mode": AutoresetMode.SAME_STEP,
@@ -74,8 +74,8 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         self._done = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Arrays, dict[str, Any]]:
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, object] | None = None
+    ) -> tuple[Arrays, dict[str, object]]:
         """Reset all environments, or only the environments in the mask ``options["reset_mask"]`` (N,).
 
         The argument ``seed`` restarts the random streams of all environments.
@@ -98,7 +98,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             left &= mask
         return as_arrays(observations), _log(extras, left) if left.any() else {}
 
-    def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, object]]:
         """Advance every environment by one control step with raw actions (N, A)."""
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             done = np.flatnonzero(self._done).tolist()
@@ -109,7 +109,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         action = torch.as_tensor(np.asarray(actions, dtype=np.float32))
         observations, reward, terminated, truncated, extras = self.env.step(action)
         self._done = host_copy(terminated | truncated)
-        infos: dict[str, Any] = {}
+        infos: dict[str, object] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             started = self._done
             final_obs = as_arrays(extras["final_obs"])
@@ -153,7 +153,7 @@ def _autoreset(mode: str | AutoresetMode) -> AutoresetMode:
     return found
 
 
-def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.bool_] | None:
+def _reset_mask(options: dict[str, object] | None, num_envs: int) -> NDArray[np.bool_] | None:
     if not options or "reset_mask" not in options:
         return None
     mask = options["reset_mask"]
@@ -164,8 +164,8 @@ def _reset_mask(options: dict[str, Any] | None, num_envs: int) -> NDArray[np.boo
     return mask
 
 
-def _log(extras: dict[str, Any], which: NDArray[np.bool_]) -> dict[str, Any]:
-    log: dict[str, Any] = {}
+def _log(extras: dict[str, object], which: NDArray[np.bool_]) -> dict[str, object]:
+    log: dict[str, object] = {}
     for key, value in task_env.log_of(extras).items():
         log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
     return {"log": log, "_log": which.copy()}

@@ -1,20 +1,15 @@
 """Evaluate a policy or an LQR controller in fixed test scenarios, such as standing and pushes, and save the result.
 
-Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run. ``compare`` compares the evaluations
-of several training seeds with each other and with a second group of runs.
+Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict
 
@@ -24,31 +19,20 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.evaluation.evaluation_env import evaluation_options, target_heights
 from wheelleg_exp.evaluation.lqr_balancer import Reference
-from wheelleg_exp.evaluation.method_comparison import (
-    Difference,
-    OverSeeds,
-    differences,
-    engine_verdict,
-    judged_metrics,
-    over_seeds,
-    plain,
-    push_verdict,
-    verdict,
-)
 from wheelleg_exp.evaluation.protocol import MakePolicy, Progress, evaluate
 from wheelleg_exp.evaluation.protocol_options import EvaluateRoot, Protocol
-from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
-from wheelleg_exp.files import for_people, write_json, write_text
+from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
+from wheelleg_exp.jobs.saved_evaluation import EPISODES, RESULT, read_content, write_episodes
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_sources
 from wheelleg_exp.jobs.torch_threads import set_threads
-from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.run.records import Addition
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
@@ -66,10 +50,18 @@ _ALTERNATIVES = {
 }
 
 
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """The config of an evaluation, and its config section ``protocol`` as plain data, which results contain."""
+
+    config: EvaluateRoot
+    protocol: dict[str, object]
+
+
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
-) -> dict[str, Any]:
-    """Apply an evaluation's overrides, and return its config sections ``env``, ``agent``, ``protocol`` and ``seed``.
+) -> EvaluationSettings:
+    """Apply an evaluation's overrides, and return its config.
 
     Overrides of ``protocol`` and ``seed`` change the evaluation; all other overrides change the run's config.
     """
@@ -83,18 +75,18 @@ def evaluation_settings(
         if errors := check_tree(tree, EvaluateRoot):
             raise_all(errors)
         require_same_robot(recorded, tree, "a policy is evaluated on the robot that it was trained on")
-        protocol = read_section(Protocol, tree["protocol"], "protocol")
-        require_read(recorded, others, lambda changed: _settings_read(changed, protocol), _ALTERNATIVES)
-        tree["env"] = with_robot_file(tree["env"], composed.asset_roots)
-        if tree["env"]["sim"]["engine"] == "physx":
-            saved, present = saved_sources(run), source_digest(Path(tree["env"]["robot"]["asset"]))
+        config = read_section(EvaluateRoot, tree, "")
+        require_read(recorded, others, lambda changed: _settings_read(changed, config.protocol), _ALTERNATIVES)
+        config = replace(config, env=with_robot_file(config.env, composed.asset_roots))
+        if config.env.sim.engine == "physx":
+            saved, present = saved_sources(run), source_digest(Path(config.env.robot.asset))
             if changed := [name for name, digest in present.items() if saved.get(name) != digest]:
                 message = f"{changed[0]} differs from the file that the run was trained with"
                 raise ConfigError(message, key="env.robot.asset", expected="the run's robot, or env.sim.engine=mujoco")
-    return tree
+    return EvaluationSettings(config, tree["protocol"])
 
 
-def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Any:
+def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Mapping[str, object]:
     """Return the parts of the config sections ``env`` and ``agent`` that an evaluation uses."""
     env = read_env(tree["env"])
     agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
@@ -115,8 +107,6 @@ def _is_of_protocol(override: str) -> bool:
 
 # ``Draw`` is a function that writes plots of an evaluation into a folder and returns the paths of the plots.
 Draw = Callable[[Evaluation, Path], list[Path]]
-
-RESULT, EPISODES = "evaluation.json", "episodes.csv"
 
 
 @dataclass(frozen=True)
@@ -145,8 +135,8 @@ def evaluate_run(
     the current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
-    tree = evaluation_settings(run, overrides, config_dirs)
-    found = _evaluate(tree, saved_mjcf(run), policy_of(checkpoint, tree["agent"]), progress)
+    settings = evaluation_settings(run, overrides, config_dirs)
+    found = _evaluate(settings, saved_mjcf(run), policy_of(checkpoint, settings.config.agent), progress)
     content = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides), **found.as_dict()}
     return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
 
@@ -164,14 +154,14 @@ def evaluate_reference(
     The arguments are those of ``evaluate_run``, without ``checkpoint``. ConfigError means that the reference controller
     (LQR) cannot balance the robot.
     """
-    tree = evaluation_settings(run, overrides, config_dirs)
+    settings = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
 
     def make(env: ManagerBasedRLEnv) -> Reference:
-        made.append(Reference(env, tree["protocol"]["command"]))
+        made.append(Reference(env, settings.config.protocol.command))
         return made[-1]
 
-    found = _evaluate(tree, saved_mjcf(run), make, progress)
+    found = _evaluate(settings, saved_mjcf(run), make, progress)
     content = {"policy": Reference.name, **made[0].describe(), "overrides": list(overrides), **found.as_dict()}
     return Evaluated(run, None, _save(run, Reference.name, content, found, command, draw), found, content)
 
@@ -181,13 +171,7 @@ def _save(
 ) -> Path:
     """Write the evaluation into a new folder of the run directory, atomically, and return this folder."""
     with dated_folder(run.evaluation) as folder:
-        # Write the evaluated episodes as CSV, one per row; Python's number format preserves every bit of a float.
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(found.episodes)
-        for row in zip(*(column.tolist() for column in found.episodes.values()), strict=True):
-            writer.writerow(_cell(value) for value in row)
-        write_text(folder / EPISODES, file.getvalue())
+        write_episodes(folder / EPISODES, found.episodes)
         write_json(folder / RESULT, content)
         files = [folder / RESULT, folder / EPISODES, *([] if draw is None else draw(found, folder))]
         keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
@@ -198,21 +182,23 @@ def _save(
 
 
 @ending_as(SimulationFailure)
-def _evaluate(tree: Mapping[str, Any], mjcf: Path, make_policy: MakePolicy, progress: Progress | None) -> Evaluation:
-    return evaluate(tree["env"], mjcf, make_policy, tree["protocol"], tree["seed"], progress=progress)
+def _evaluate(
+    settings: EvaluationSettings, mjcf: Path, make_policy: MakePolicy, progress: Progress | None
+) -> Evaluation:
+    return evaluate(settings.config.env, mjcf, make_policy, settings.protocol, settings.config.seed, progress=progress)
 
 
-def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
+def policy_of(checkpoint: Path, agent: Learning) -> MakePolicy:
     """Return a function that loads a checkpoint's policy for an environment; the policy gives clipped mean actions."""
 
-    def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, Any]], torch.Tensor]:
+    def make(env: ManagerBasedRLEnv) -> Callable[[Mapping[str, object]], torch.Tensor]:
         set_threads(agent, env.scene.sim.nthread)
-        clip = agent.get("clip_actions")
+        clip = agent.clip_actions
         policy = load_policy(checkpoint, RslRlVecEnv(env, clip), agent)
         policy.to(env.device)
 
-        def act(observations: Mapping[str, Any]) -> torch.Tensor:
-            actions = policy(TensorDict(dict(observations), batch_size=[env.num_envs]))
+        def act(observations: Mapping[str, object]) -> torch.Tensor:
+            actions: torch.Tensor = policy(TensorDict(dict(observations), batch_size=[env.num_envs]))
             return actions if clip is None else actions.clamp(-clip, clip)
 
         return act
@@ -220,55 +206,15 @@ def policy_of(checkpoint: Path, agent: Mapping[str, Any]) -> MakePolicy:
     return make
 
 
-def _cell(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return "" if math.isnan(value) else repr(int(value) if math.isfinite(value) and value == int(value) else value)
-
-
-_EXPECTED = "an evaluation that wheelleg evaluate has written"
-
-
-def read_content(folder: Path) -> dict[str, Any]:
-    """Return the content of a saved ``evaluation.json``."""
-    path = folder / RESULT
-    try:
-        with for_people(path, "read"):
-            content = json_value(path.read_bytes())
-    except Unreadable as error:
-        raise RunDirectoryError(f"the file is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise RunDirectoryError(f"the file is not an evaluation in format {FORMAT}", key=str(path), expected=_EXPECTED)
-    return content
-
-
-def read_evaluation(folder: Path) -> Evaluation:
-    """Load a saved evaluation and the episodes of this evaluation."""
-    content = read_content(folder)
-    try:
-        metrics = {name: _figure(value) for name, value in content["metrics"].items()}
-        facts = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
-        return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **facts)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunDirectoryError(f"the evaluation is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
-
-
-def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the columns of ``episodes.csv``: texts, or numbers with NaN for empty cells."""
-    with for_people(path, "read"):
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
-    if not rows:
-        raise RunDirectoryError("the file is empty", key=str(path), expected=_EXPECTED)
-    return {name: _column([row[i] for row in rows[1:]]) for i, name in enumerate(rows[0])}
-
-
-def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], overrides: Sequence[str]) -> Path | None:
+def find_saved(
+    run: RunDirectory, checkpoint: str, settings: EvaluationSettings, overrides: Sequence[str]
+) -> Path | None:
     """Return the folder of a checkpoint's newest evaluation with a given protocol, or None if none was saved.
 
-    ``checkpoint`` is the checkpoint's sha256. ``tree`` is the config that ``evaluation_settings`` returned. Evaluation
-    protocols are compared by their settings, not by their overrides.
+    ``checkpoint`` is the checkpoint's sha256. Evaluation protocols are compared by their settings, not by their
+    overrides.
     """
-    asked = (checkpoint, tree["seed"], tree["protocol"], run_overrides(overrides))
+    asked = (checkpoint, settings.config.seed, settings.protocol, run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
     for folder in sorted(folders, reverse=True):
         content = read_content(folder)
@@ -276,140 +222,3 @@ def find_saved(run: RunDirectory, checkpoint: str, tree: Mapping[str, Any], over
         if (*made, run_overrides(content.get("overrides") or [])) == asked:
             return folder
     return None
-
-
-# ``MARGINS`` maps the margins that reports and bundles show to their names and units.
-MARGINS = {
-    "robust/margin/delay": ("delay of the actions", "s"),
-    "robust/margin/noise": ("noise of the sensors", "times noise_std"),
-    "robust/margin/kick": ("kick forwards or backwards", "m/s"),
-    "robust/margin/slope": ("slope of the floor", "rad"),
-}
-
-
-class Margin(NamedTuple):
-    """The largest change of one property that a policy survives, and that of the reference controller if measured."""
-
-    name: str
-    unit: str
-    policy: float
-    reference: float | None
-
-
-def margins_of(additions: Sequence[Addition], checkpoint_sha256: str | None = None) -> list[Margin]:
-    """Return the margins that a run's newest evaluation of margins measured; [] without such an evaluation.
-
-    ``additions`` are the entries of the run's manifest. With ``checkpoint_sha256``, only evaluations of this checkpoint
-    count.
-    """
-
-    def margins(results: Mapping[str, object]) -> dict[str, float]:
-        metrics = results.get("metrics")
-        found = {name: metrics.get(name) for name in MARGINS} if isinstance(metrics, Mapping) else {}
-        return {name: value for name, value in found.items() if isinstance(value, (int, float))}
-
-    results = [(entry.kind, entry.results) for entry in additions if margins(entry.results)]
-    sha, scenarios = "checkpoint_sha256", "scenarios_sha256"
-    mine = [r for kind, r in results if kind == "evaluation" and checkpoint_sha256 in (None, r.get(sha))]
-    if not mine:
-        return []
-    same = [r for kind, r in results if kind == Reference.name and r.get(scenarios) == mine[-1].get(scenarios)]
-    reference = margins(same[-1]) if same else {}
-    return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in margins(mine[-1]).items()]
-
-
-def _figure(value: Mapping[str, Any]) -> Figure:
-    numbers = {key: float("nan") if value[key] is None else float(value[key]) for key in ("value", "low", "high")}
-    return Figure(**numbers, episodes=value["episodes"], unit=value["unit"], better=value["better"])
-
-
-def _column(cells: Sequence[str]) -> np.ndarray[Any, Any]:
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-    except ValueError:
-        return np.array(cells)
-
-
-COMPARISON = "comparison.json"
-COMPARISON_FORMAT = 1
-
-
-@dataclass(frozen=True)
-class Compared:
-    """The result of a comparison of runs: each metric over all runs, and differences from a second group of runs."""
-
-    folder: Path
-    seeds: list[OverSeeds]
-    differences: list[Difference]  # empty without ``against``
-    verdict: str  # empty without ``against``
-    push_verdict: str
-    content: dict[str, Any]  # the content of ``comparison.json``
-
-
-def compare(
-    runs: Sequence[Evaluated],
-    against: Sequence[Evaluated],
-    reference: Evaluated | None,
-    command: Sequence[str],
-    name: str | None = None,
-    engines: Sequence[str] = (),
-) -> Compared:
-    """Compare the evaluations of runs, and save the comparison in the directory of the first run.
-
-    ``runs`` are runs of one training method with different seeds. ``against`` are runs of a second training method, or
-    an empty list. ``name`` is the common name of ``runs``, by default the id of the first run. ``engines`` names two
-    engines if ``runs`` and ``against`` are evaluations of the same runs with these engines.
-    """
-    seeds = over_seeds([made.evaluation for made in runs])
-    found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
-    names = name or group_name(runs), group_name(against) if against else ""
-    # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
-    trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
-    if engines:
-        said, pushed = engine_verdict(found, *engines), ""
-        abouts = [made.evaluation.about for made in (*runs, *against)]
-        if odd := dict.fromkeys(text for about in abouts for text in about.get("robot_differences", ())):
-            said += f" The robot differs between {' and '.join(engines)}: {', '.join(odd)}."
-    else:
-        said = verdict(found, *names, trainings) if against else ""
-        pushed = push_verdict(found, *names)
-    evaluation = runs[0].evaluation
-    content: dict[str, Any] = {
-        "format": COMPARISON_FORMAT,
-        "protocol": evaluation.protocol["name"],
-        "scenarios_sha256": evaluation.scenarios_sha256,
-        "runs": [_identify(made) for made in runs],
-        "against": [_identify(made) for made in against],
-        "reference": None if reference is None else _identify(reference),
-        "over_seeds": {row.metric: plain(asdict(row)) for row in seeds},
-        "differences": {row.metric: row.as_dict() for row in found},
-        "verdict": said,
-        "push_verdict": pushed,
-    }
-    run = runs[0].run
-    with dated_folder(run.evaluation, "_comparison") as folder:
-        write_json(folder / COMPARISON, content)
-        results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
-        if engines:
-            values = {row.metric: [row.first, row.second, row.unit] for row in judged_metrics(found)}
-            results |= {"engines": list(engines), "metrics": plain(values), "runs": len(runs)}
-        run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
-    return Compared(folder, seeds, found, said, pushed, content)
-
-
-def group_name(made: Sequence[Evaluated]) -> str:
-    """Return a name for a group of evaluated runs, for use in a sentence."""
-    names = [display_name(one) for one in made]
-    return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
-
-
-def display_name(made: Evaluated) -> str:
-    """Return the name of an evaluation in a table: the id of the run, or the name of the reference controller."""
-    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']} controller"
-
-
-def _identify(made: Evaluated) -> dict[str, Any]:
-    about = {"run": made.run.id, "evaluation": made.folder.name, "starts_sha256": dict(made.evaluation.starts_sha256)}
-    if made.checkpoint is None:
-        return about | {"policy": made.content["policy"]}
-    return about | {"checkpoint_sha256": made.content["checkpoint_sha256"]}

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from wheelleg_exp.config import schema
 from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.config.schema import PlayRoot
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_disturbances
 from wheelleg_exp.errors import SimulationFailure
@@ -42,7 +42,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
-from wheelleg_exp.terms.config_sections import plain_section
+from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.user_exceptions import ending_as
 
 Tree = dict[str, Any]
@@ -60,7 +60,8 @@ class RunPolicy:
 
     run: RunDirectory
     checkpoint: Path
-    tree: Tree  # contains the run's ``env`` and ``agent`` configs, and the settings of ``configs/play.yaml``
+    settings: PlayRoot  # of ``configs/play.yaml``, with ``env`` and ``agent`` of the run
+    tree: Tree  # ``settings`` as plain data
     adapter: RslRlVecEnv
     policy: Any  # returns the mean action
     about: dict[str, str]  # the file name and the sha256 of the policy's checkpoint
@@ -70,7 +71,7 @@ class RunPolicy:
         documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
         task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
         about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
-        options, env = self.tree["recording"], self.adapter.env
+        options, env = self.settings.recording, self.adapter.env
         documents |= {"checkpoint": fenced(dump_json(self.about), "json")}
         return EpisodeRecording(path, env, options, purpose="play", name=folder.name, about=about, documents=documents)
 
@@ -89,26 +90,26 @@ def prepare_policy(
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = load_params(run)
-    settings = compose(primary="play").config
-    settings = {key: settings[key] for key in ("seed", "play", "drive", "recording")}
-    recorded = {**settings, "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
+    own = {key: compose(primary="play").config[key] for key in ("seed", "play", "drive", "recording")}
+    recorded = {**own, "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
     tree = apply_overrides(recorded, overrides)
     with placing(overrides):
         tree = tree if change is None else change(tree)
-        if errors := check_tree(tree, schema.PlayRoot):
+        if errors := check_tree(tree, PlayRoot):
             raise_all(errors)
         require_same_robot(recorded, tree, "a play simulates the robot that the run was trained on")
         require_read({**recorded, "play": tree["play"]}, overrides, _settings_read, _ALTERNATIVES)
         is_changed, tree = tree["env"] != recorded["env"], _in_conditions(tree)
-        env = ManagerBasedRLEnv(tree["env"], saved_mjcf(run), tree["seed"])
-    set_threads(tree["agent"], env.scene.sim.nthread)
+        settings = read_section(PlayRoot, tree, "")
+        env = ManagerBasedRLEnv(settings.env, saved_mjcf(run), settings.seed)
+    set_threads(settings.agent, env.scene.sim.nthread)
     if not is_changed and env.scene.model_digest() != saved_model_digest(run):
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
-    adapter = RslRlVecEnv(env, tree["agent"].get("clip_actions"))
-    policy = load_policy(checkpoint, adapter, tree["agent"])
-    if tree["play"]["conditions"] != "training":
+    adapter = RslRlVecEnv(env, settings.agent.clip_actions)
+    policy = load_policy(checkpoint, adapter, settings.agent)
+    if settings.play.conditions != "training":
         display.note("note: no pushes, random forces, or observation noise (play.conditions=training has them)")
-    return RunPolicy(run, checkpoint, tree, adapter, policy, checkpoint_facts(run, checkpoint))
+    return RunPolicy(run, checkpoint, settings, tree, adapter, policy, checkpoint_facts(run, checkpoint))
 
 
 def _settings_read(tree: Mapping[str, Any]) -> Any:
@@ -141,14 +142,14 @@ def play(
 ) -> Played:
     """Apply the mean action of a policy (by default the last checkpoint) for one episode of each environment."""
     prepared = prepare_policy(run, checkpoint, overrides, display)
-    tree, adapter, env = prepared.tree, prepared.adapter, prepared.adapter.env
-    settle_s = float(tree["play"]["settle_s"])
+    settings, adapter, env = prepared.settings, prepared.adapter, prepared.adapter.env
+    settle_s = float(settings.play.settle_s)
     meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)
     env.observers += [meter.observe, motion.observe]
-    failures = FailureCount(env.num_envs, tree["agent"])
-    content = {**prepared.about, **tree["play"], "seed": tree["seed"], "overrides": list(overrides)}
+    failures = FailureCount(env.num_envs, settings.agent.max_non_finite)
+    content = {**prepared.about, **asdict(settings.play), "seed": settings.seed, "overrides": list(overrides)}
     with dated_folder(run.play) as folder:
-        recording = prepared.recording(folder, command) if tree["recording"]["enabled"] else None
+        recording = prepared.recording(folder, command) if settings.recording.enabled else None
         if recording is not None:
             recording.warn(display.note)
         with recording or nullcontext():

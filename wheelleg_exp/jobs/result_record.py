@@ -16,7 +16,8 @@ from typing import Any, TypedDict, cast
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
-from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated, compare
+from wheelleg_exp.jobs.compare_evaluations import Compared, compare
+from wheelleg_exp.jobs.evaluate_policy import Evaluated
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
 from wheelleg_exp.run import records

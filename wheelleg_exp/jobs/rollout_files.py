@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
+from wheelleg_exp.config.schema import PlayRecording, RecordingOptions
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import dump_json, read_text, sha256, while_running, write_bytes
@@ -109,8 +110,8 @@ class ObservingRecording:
 class EpisodeRecording(ObservingRecording):
     """A context manager that records every control step of a rollout, until the recording file has its largest size.
 
-    The recording file receives each simulated second as soon as this second has ended. ``options`` contains the
-    settings ``env_ids``, ``max_mb`` and ``live`` of the config section ``recording``. ``purpose`` selects the layout of
+    The recording file receives each simulated second as soon as this second has ended. ``options`` is the
+    config section ``recording``. ``purpose`` selects the layout of
     the viewer that shows the recording. ``name`` is the title of the recording in the viewer.
     """
 
@@ -118,21 +119,21 @@ class EpisodeRecording(ObservingRecording):
         self,
         path: Path,
         env: ManagerBasedRLEnv,
-        options: Mapping[str, Any],
+        options: RecordingOptions | PlayRecording,
         *,
         purpose: Purpose,
         name: str,
         about: Mapping[str, object],
         documents: Mapping[str, str],
     ) -> None:
-        ids, every = options["env_ids"], max(round(1.0 / env.step_dt), 1)
+        ids, every = options.env_ids, max(round(1.0 / env.step_dt), 1)
         recorder = Recorder(
             path, env, recording_id=name, name=name, env_ids=ids, purpose=purpose, about=about, flush_every=every
         )
         for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
             recorder.document(title, text)
-        super().__init__(env, recorder, live=options["live"])
-        self._bound = float(options["max_mb"])
+        super().__init__(env, recorder, live=options.live)
+        self._bound = float(options.max_mb)
         self._frames = recorder.frames_within(self._bound)
         if self._frames < env.max_episode_length:
             self.notes = (self._warning(),)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
+from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import while_running, write_json, write_yaml
@@ -22,6 +23,7 @@ from wheelleg_exp.jobs.rollout_files import EpisodeRecording, close_dataset, con
 from wheelleg_exp.rl.rollout_log import FailureCount
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.sensors import ContactSensor
+from wheelleg_exp.terms.config_sections import read_section
 from wheelleg_exp.user_exceptions import ending_as
 
 AgentKind = Literal["zero", "random"]
@@ -44,31 +46,31 @@ class AgentRun:
 
 def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
     """Run zero or uniform random actions in [-1, 1] for ``steps`` (None: one episode), and record the rollout."""
-    config = composed.config
     with composed.placing():
-        require_recorded(config)
-        env = build_env(config, composed.asset_roots)
+        experiment = read_section(Experiment, composed.config, "")
+        require_recorded(composed.config)
+        env = build_env(composed.config, composed.asset_roots)
     display.environment(env.describe())
-    run, task, seed = config["run"], config["task"]["name"], config["seed"]
-    name = "_".join(part for part in (kind, run.get("name")) if part)
-    directory = RunDirectory.create(run["root"], task, seed, name=name, section="agents")
+    run, task = experiment.run, experiment.task.name
+    name = "_".join(part for part in (kind, run.name) if part)
+    directory = RunDirectory.create(run.root, task, experiment.seed, name=name, section="agents")
     with while_running():
-        write_yaml(directory.path / "config.yaml", config)
+        write_yaml(directory.path / "config.yaml", composed.config)
         sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
         meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
         stand = StandMeter(env, settle_s=0.0)
+        failures = FailureCount(env.num_envs, experiment.agent.max_non_finite)
         env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
-        options = config["recording"]
-        recording = None
-        if options["enabled"]:
-            about = {"run_id": directory.id, "task": config["task"]["name"], "agent": kind}
-            title, documents = f"{directory.id} {kind} agent", config_document(config)
+        options, recording = experiment.recording, None
+        if options.enabled:
+            about = {"run_id": directory.id, "task": task, "agent": kind}
+            title, documents = f"{directory.id} {kind} agent", config_document(composed.config)
             recording = EpisodeRecording(
                 directory.recording, env, options, purpose="play", name=title, about=about, documents=documents
             )
             recording.warn(display.note)
         with recording or nullcontext():
-            failures = _roll(env, _actor(kind, env), steps or env.max_episode_length, config["agent"], display)
+            _roll(env, _actor(kind, env), steps or env.max_episode_length, failures, display)
             contacts = {name: meter.figures() for name, meter in meters.items()}
             content = {"agent": kind, "figures": stand.figures().as_dict()}
             content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
@@ -90,12 +92,10 @@ def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor
 @ending_as(SimulationFailure)
 @torch.inference_mode()
 def _roll(
-    env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, agent: Mapping[str, Any], display: Display
-) -> FailureCount:
+    env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, failures: FailureCount, display: Display
+) -> None:
     env.reset()
-    failures = FailureCount(env.num_envs, agent)
     for step in range(steps):
         *_, extras = env.step(actor())
         failures.take(extras)
         display.steps(step + 1, steps)
-    return failures

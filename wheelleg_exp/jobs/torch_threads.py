@@ -11,11 +11,10 @@ from typing import Any, TypedDict
 import numpy as np
 import torch
 
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import prepare_threads
-from wheelleg_exp.rl.checkpoint import ROLES
 from wheelleg_exp.rl.determinism import SPLIT_ABOVE
 from wheelleg_exp.rl.matmul import chosen_matmul, products_depend_on_threads
+from wheelleg_exp.rl.options import Learning
 
 # The names of MKL's code branches, ordered by their numbers in mkl_types.h (MKL_CBWR_*).
 _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx512 avx512_mic_e1 avx512_e1"
@@ -36,19 +35,17 @@ class Mkl(TypedDict):
     strict: bool | None
 
 
-def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int | None = None) -> dict[str, Any]:
+def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = None) -> dict[str, object]:
     """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
     ``samples`` is the number of environment steps in one rollout; None if nothing is trained. In the returned
     dictionary, ``independent`` is true if results do not depend on the thread count. ``dependent_because`` lists the
     reasons if results depend on the thread count.
     """
-    wanted = agent["torch_threads"]
-    if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted < 1:
-        raise ConfigError(f"is {wanted!r}", key="agent.torch_threads", expected="a whole number of at least 1")
+    wanted = agent.torch_threads
     _in_time.append(prepare_threads())  # MKL and OpenMP read environment variables only at their first use.
     torch.set_num_threads(wanted)
-    mkl, device = mkl_in_force(), str(agent["device"])
+    mkl, device = mkl_in_force(), agent.device
     reasons = _thread_dependence(mkl, device, _largest_mean(agent, samples))
     reasons += _uneven_activations(agent, samples, wanted)
     return {
@@ -67,7 +64,7 @@ def set_threads(agent: Mapping[str, Any], physics_threads: int, *, samples: int 
 
 
 def dependent_products(
-    networks: Iterable[torch.nn.Module], agent: Mapping[str, Any], samples: int, threads: Mapping[str, Any]
+    networks: Iterable[torch.nn.Module], agent: Learning, samples: int, threads: Mapping[str, Any]
 ) -> dict[str, object]:
     """Return manifest entries that say why bfloat16 matrix products depend on the thread count, or {} if they do not.
 
@@ -131,19 +128,18 @@ def _libraries() -> list[str]:
     return [line for line in lines if any(word in line for word in words) and not line.startswith("Build settings")]
 
 
-def _largest_mean(agent: Mapping[str, Any], samples: int | None) -> int:
+def _largest_mean(agent: Learning, samples: int | None) -> int:
     """Return the largest number of samples over which the PPO update computes a mean."""
-    return (samples or 0) // max(1, int((agent.get("algorithm") or {}).get("num_mini_batches", 1)))
+    return (samples or 0) // max(1, int(agent.algorithm.get("num_mini_batches", 1)))
 
 
-def _uneven_activations(agent: Mapping[str, Any], samples: int | None, threads: int) -> list[str]:
+def _uneven_activations(agent: Learning, samples: int | None, threads: int) -> list[str]:
     """Return a warning about network activations whose rounding depends on the number of threads."""
     # Rounding depends on the thread count if a thread computes a number of values that is not a multiple of 32.
-    if samples is None or str(agent["device"]) != "cpu":
+    if samples is None or agent.device != "cpu":
         return []
-    batches = {samples // int(agent.get("num_steps_per_env", 1)), _largest_mean(agent, samples)}
-    sections = [agent.get(role) or {} for role in ROLES]
-    elus = [section for section in sections if str(section.get("activation", "elu")) == "elu"]
+    batches = {samples // agent.num_steps_per_env, _largest_mean(agent, samples)}
+    elus = [section for section in agent.networks.values() if str(section.get("activation", "elu")) == "elu"]
     layers = {int(width) for section in elus for width in section.get("hidden_dims") or ()}
     pairs = [(rows, width) for rows in sorted(batches) for width in sorted(layers)]
     uneven = [f"{rows} x {width}" for rows, width in pairs if _splits(rows * width, threads)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, RobotFacts, compiled_robot
 from wheelleg_exp.asset.conversion_cache import REPORT
@@ -57,7 +56,7 @@ class PhysicsReport:
         best = earned_per_second(found) * self.case.episode_s
         return [_reward_row(self.case, item, best) for item in found]
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the findings of ``check --physics`` as a mapping for JSON."""
         return {
             "findings": [asdict(finding) for finding in self.open],
@@ -126,7 +125,7 @@ def _reward_row(case: Case, item: Contribution, best: float) -> tuple[str, str, 
     return item.term.name, f"{item.weight:g}", item.tolerance, step, f"{episode:.3g}", share
 
 
-def _reward_document(case: Case, item: Contribution) -> dict[str, Any]:
+def _reward_document(case: Case, item: Contribution) -> dict[str, object]:
     known = item.value is not None
     return {
         "term": item.term.path,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.manager_base import ManagerBase, TermBase, table
 from wheelleg_exp.managers.return_checks import require_form, row_form
@@ -69,7 +70,7 @@ class ActionManager(ManagerBase):
 
     kind = "actions"
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env)
         self._action_terms: dict[str, ActionTerm] = {}
         for name, term in self._terms.items():

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import torch
 
-from wheelleg_exp.constraints import PositiveInterval
+from wheelleg_exp.constraints import PositiveInterval, Terms
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase
 from wheelleg_exp.managers.return_checks import require_form, row_form
@@ -128,7 +128,7 @@ class CommandManager(ManagerBase):
     kind = "commands"
     columns = ("shape",)
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env)
         self._command_terms: dict[str, CommandTerm] = {}
         self.step_errors: dict[str, torch.Tensor] = self.buffer("step_errors", {}, saved=False)

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.managers.manager_base import ManagerBase
 from wheelleg_exp.managers.return_checks import FiguresForm
 from wheelleg_exp.managers.term_interface import Env
@@ -17,7 +18,7 @@ class CurriculumManager(ManagerBase):
 
     kind = "curriculum"
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env)
         self._state: dict[str, Any] = self.number("_state", dict.fromkeys(self._terms))
         for term in self._terms.values():

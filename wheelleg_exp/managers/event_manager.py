@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.errors import nearest_name
 from wheelleg_exp.managers.manager_base import ManagerBase, Term, instantiate_term, table
 from wheelleg_exp.managers.non_finite import require_finite_writes
@@ -26,7 +26,7 @@ class EventManager(ManagerBase):
 
     kind = "events"
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env, instantiate=False)
         self._modes: dict[str, dict[str, Term]] = {}
         self._time_left: dict[str, torch.Tensor] = self.buffer("_time_left", {})

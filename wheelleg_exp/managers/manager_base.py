@@ -19,6 +19,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers.return_checks import Form, require_form
 from wheelleg_exp.managers.streams import lent
@@ -206,10 +207,8 @@ class _Blamed:
             raise named from error
 
 
-def bind_terms(
-    kind: str, section: str, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True
-) -> dict[str, Term]:
-    """Bind every term of a config section, in the order of the config; terms that are null are skipped.
+def bind_terms(kind: str, section: str, nodes: Terms, env: Env, *, instantiate: bool = True) -> dict[str, Term]:
+    """Bind every term of a config section, in the order of the config.
 
     ``kind`` is the kind of the terms, such as ``rewards``. ``section`` is the config key that contains the terms, such
     as ``env.rewards``. If ``instantiate`` is False, the caller must later create the terms' objects with
@@ -217,8 +216,7 @@ def bind_terms(
     """
     terms = {
         name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
-        for name, node in (nodes or {}).items()
-        if node is not None
+        for name, node in nodes.items()
     }
     if instantiate:
         for term in terms.values():
@@ -315,7 +313,7 @@ class ManagerBase(OfEnv, Stateful):
     kind: ClassVar[str]
     columns: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env, *, instantiate: bool = True) -> None:
+    def __init__(self, nodes: Terms, env: Env, *, instantiate: bool = True) -> None:
         self._env = env
         self._num_envs = env.num_envs
         terms = bind_terms(self.kind, f"env.{self.kind}", nodes, env, instantiate=instantiate)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.manager_base import ManagerBase, Term, TermBase
@@ -147,7 +148,7 @@ class RecorderManager(ManagerBase):
     kind = "recorders"
     columns = ("records",)
 
-    def __init__(self, nodes: Mapping[str, Any] | None, options: Dataset, env: Env) -> None:
+    def __init__(self, nodes: Terms, options: Dataset, env: Env) -> None:
         super().__init__(nodes, env)
         self._options = options
         for term in self._terms.values():

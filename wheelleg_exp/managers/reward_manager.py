@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.managers.manager_base import ManagerBase, Term
 from wheelleg_exp.managers.return_checks import TensorForm
 from wheelleg_exp.managers.term_interface import Env
@@ -25,7 +26,7 @@ class RewardManager(ManagerBase):
     kind = "rewards"
     columns = ("weight",)
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env)
         self.step_reward = self.buffer("step_reward", torch.zeros(len(self._terms), self._num_envs, device=env.device))
         for term in self._terms.values():

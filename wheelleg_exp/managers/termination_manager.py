@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
+from wheelleg_exp.constraints import Terms
 from wheelleg_exp.definitions import NOT_FINITE, ending
 from wheelleg_exp.managers.manager_base import ManagerBase, Term
 from wheelleg_exp.managers.return_checks import TensorForm
@@ -30,7 +31,7 @@ class TerminationManager(ManagerBase):
     kind = "terminations"
     columns = ("time-out",)
 
-    def __init__(self, nodes: Mapping[str, Any] | None, env: Env) -> None:
+    def __init__(self, nodes: Terms, env: Env) -> None:
         super().__init__(nodes, env)
         flags = [bool(term.fields.get("time_out", False)) for term in self._terms.values()]
         self._time_out_rows, self._failure_rows = (

@@ -6,7 +6,6 @@ import copy
 import io
 import itertools
 import re
-from collections.abc import Mapping
 from contextlib import redirect_stdout
 from typing import Any
 
@@ -16,11 +15,11 @@ from rsl_rl.utils import resolve_callable
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.packages import make_classes_importable
-from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.options import SymmetryOptions, require_agent
+from wheelleg_exp.rl.options import Agent, Learning, SymmetryOptions, require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
-from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, options_of, replace_mirror_loss
+from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+from wheelleg_exp.terms.config_sections import plain_section
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
 # `OWN_KEYS` are the keys of the config section `agent` that rsl_rl does not know.
@@ -30,10 +29,10 @@ OWN_KEYS = (
 )
 
 
-def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = ALONE) -> Any:
-    """Build rsl_rl's algorithm from the config section ``agent``. Raise ConfigError for an invalid config value."""
+def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> Any:
+    """Build rsl_rl's algorithm from the options of the agent. Raise ConfigError for an invalid config value."""
     observations = env.get_observations()
-    for role, groups in agent["obs_groups"].items():
+    for role, groups in agent.obs_groups.items():
         for group in groups:
             if group not in observations:
                 expected = "some of " + ", ".join(observations.keys())
@@ -47,20 +46,20 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     if env.num_actions == 0:
         message = "the environment has no actions to learn"
         raise ConfigError(message, key="env.actions", expected="at least one action term")
-    _require_device(str(agent["device"]))
+    _require_device(agent.device)
     require_agent(agent, env.num_envs)
-    if torch.device(agent["device"]).type == "cpu":
+    if torch.device(agent.device).type == "cpu":
         _require_memory(env, observations, agent)
-    options = options_of(agent)
-    env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), str(agent["device"]))
-    # Copy the config section, because rsl_rl changes it. Redirect stdout, because rsl_rl prints the networks.
-    config = copy.deepcopy({key: value for key, value in agent.items() if key not in OWN_KEYS})
+    options = agent.symmetry if isinstance(agent, Agent) else None
+    env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), agent.device)
+    # Copy the options, because rsl_rl changes them. Redirect stdout, because rsl_rl prints the networks.
+    config = copy.deepcopy({key: value for key, value in plain_section(agent).items() if key not in OWN_KEYS})
     config["multi_gpu"] = ranks.for_rsl_rl()
     make_classes_importable(config)
     try:
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
             kind = resolve_callable(config["algorithm"]["class_name"])
-            algorithm = kind.construct_algorithm(observations, env, config, str(agent["device"]))
+            algorithm = kind.construct_algorithm(observations, env, config, agent.device)
     except Exception as error:  # A user-defined network class can raise any exception.
         message = f"rsl_rl rejects the agent section: {in_words(error).splitlines()[0]}"
         raise ConfigError(message, key="agent", expected="rsl_rl's own configuration") from error
@@ -68,9 +67,9 @@ def build_algorithm(env: RslRlVecEnv, agent: Mapping[str, Any], ranks: Ranks = A
     return algorithm
 
 
-def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | None:
+def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:
     """Return a ``MirroredHalf`` if ``agent.symmetry.mirrored_envs`` is true, otherwise None."""
-    options = options_of(agent)
+    options = agent.symmetry if isinstance(agent, Agent) else None
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:
@@ -81,27 +80,27 @@ def mirrored_half(env: RslRlVecEnv, agent: Mapping[str, Any]) -> MirroredHalf | 
     return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 
 
-def _seen(agent: Mapping[str, Any], observations: Any, options: SymmetryOptions) -> list[str]:
+def _seen(agent: Learning, observations: Any, options: SymmetryOptions) -> list[str]:
     """Return the observation groups that need mirror images: those of actor, critic, and RND.
 
     RND (random network distillation) rewards new states, and the mirror image of a known state must not count as new.
     """
-    novel = options.mirrored_envs and agent["algorithm"].get("rnd_cfg")
+    novel = options.mirrored_envs and agent.algorithm.get("rnd_cfg")
     roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
-    sets = {role: [role if role in observations else "policy"] for role in roles} | agent["obs_groups"]
+    sets = {role: [role if role in observations else "policy"] for role in roles} | agent.obs_groups
     return [group for role in roles for group in sets[role]]
 
 
-def _require_memory(env: RslRlVecEnv, observations: Any, agent: Mapping[str, Any]) -> None:
+def _require_memory(env: RslRlVecEnv, observations: Any, agent: Learning) -> None:
     """Raise ConfigError if the rollout buffer (float32) and the networks do not fit into memory."""
-    steps, widths = int(agent["num_steps_per_env"]), {g: v.shape[1] for g, v in observations.items()}
+    steps, widths = agent.num_steps_per_env, {g: v.shape[1] for g, v in observations.items()}
     samples = env.num_envs * steps
     numbers = sum(widths.values()) + 3 * env.num_actions + 6
     what = f"rollouts of {env.num_envs} environments times {steps} steps"
     require_memory(4 * samples * numbers, "agent.num_steps_per_env", what)
-    for role in (role for role in checkpoint.ROLES if role in agent):
-        hidden = agent[role].get("hidden_dims") or []
-        layers = [sum(widths.get(g, 0) for g in agent["obs_groups"].get(role, [])), *hidden, env.num_actions]
+    for role, network in agent.networks.items():
+        hidden = network.get("hidden_dims") or []
+        layers = [sum(widths.get(g, 0) for g in agent.obs_groups.get(role, [])), *hidden, env.num_actions]
         weights = sum(a * b for a, b in itertools.pairwise(layers))
         # Training stores 4 numbers of 4 bytes per weight: the weight, its gradient, and two running means in Adam.
         require_memory(16 * weights, f"agent.{role}.hidden_dims", f"{weights:,} weights and what trains them")

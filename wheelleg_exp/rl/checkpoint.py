@@ -30,7 +30,7 @@ ROLES = ("actor", "critic", "student", "teacher")
 _MOST_PARTS, _DEEPEST, _TIMES = 1_000_000, 100, 16
 
 
-def serialize(state: Mapping[str, Any]) -> bytes:
+def serialize(state: Mapping[str, object]) -> bytes:
     """Encode a training's state as the bytes of a checkpoint file. Equal states give equal bytes."""
     buffer = io.BytesIO()
     torch.save(_rebuilt(dict(state)), buffer)
@@ -93,7 +93,7 @@ def read_tensors(path: Path) -> Any:
     return state
 
 
-def _require_finite(state: Mapping[str, Any], path: Path) -> None:
+def _require_finite(state: Mapping[str, object], path: Path) -> None:
     """Raise RunDirectoryError if a network parameter is NaN or inf, because the policy's actions would be NaN."""
     for key in (*(f"{role}_state_dict" for role in ROLES), STATE):
         network = state.get(key)
@@ -111,7 +111,7 @@ def env_state(state: Mapping[str, Any]) -> dict[str, Any]:
     return from_format_2(found) if found and state["format_version"] == 2 else found
 
 
-def require_resumable(state: Mapping[str, Any]) -> None:
+def require_resumable(state: Mapping[str, object]) -> None:
     """Raise RunDirectoryError if a checkpoint lacks state that is needed to resume its training."""
     if state["format_version"] not in _READABLE[1:]:
         message = "the checkpoint contains only networks: it can be played, but a training cannot be resumed from it"
@@ -138,15 +138,15 @@ def roles_of(algorithm: Any) -> tuple[str, ...]:
     return tuple(role for role in ROLES if hasattr(algorithm, role))
 
 
-def policy_state(state: Mapping[str, Any]) -> Any:
+def policy_state(state: Mapping[str, object]) -> Any:
     """Return the policy's parameters in a checkpoint: the average if there is one, else those of student or actor."""
     return state.get(STATE) or state.get("student_state_dict") or state["actor_state_dict"]
 
 
-def unsaved_state(algorithm: Any) -> dict[str, Any]:
+def unsaved_state(algorithm: Any) -> dict[str, object]:
     """Return state that rsl_rl does not save: hidden states, the state of RND, the progress of a distillation."""
     hidden = {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)}
-    state: dict[str, Any] = {"learning_rate": float(algorithm.learning_rate), "hidden": hidden}
+    state: dict[str, object] = {"learning_rate": float(algorithm.learning_rate), "hidden": hidden}
     if hasattr(algorithm, "student"):
         state["distillation"] = {"updates": algorithm.num_updates, "hidden": cloned(algorithm.last_hidden_states)}
     if getattr(algorithm, "rnd", None) is not None:

@@ -38,7 +38,7 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
-def networks(state: Mapping[str, Any]) -> dict[str, Any]:
+def networks(state: Mapping[str, object]) -> dict[str, object]:
     """Return the networks in a checkpoint; the digest (hash) named ``parameters`` is computed from them."""
     return {key: value for key, value in state.items() if _part_of(key) == "parameters"}
 
@@ -61,8 +61,8 @@ def tree_digest(tree: Any) -> str:
     return digest.hexdigest()[:_LENGTH]
 
 
-def _parts(state: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    parts: dict[str, dict[str, Any]] = {}
+def _parts(state: Mapping[str, object]) -> dict[str, dict[str, object]]:
+    parts: dict[str, dict[str, object]] = {}
     for key, value in state.items():
         if key == "env" and isinstance(value, Mapping):
             for name, item in value.items():

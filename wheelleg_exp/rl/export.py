@@ -6,13 +6,14 @@ import io
 import json
 import warnings
 import zipfile
-from collections.abc import Mapping
 from typing import Any
 
 import torch
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.terms.config_sections import plain_section
 
 FORMAT_VERSION = 1
 _OPSET = 18
@@ -47,9 +48,9 @@ def onnx(policy: MLPModel) -> bytes:
     return bytes(file.getvalue())
 
 
-def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int) -> str:
+def description(env: ManagerBasedRLEnv, agent: Learning, iteration: int) -> str:
     """Return the description for deployment as JSON: rates, joints, and each slice of input and output."""
-    groups = agent["obs_groups"]["student" if "student" in agent else "actor"]
+    groups = agent.obs_groups[agent.roles[0]]
     robot = env.scene.robot
     offset, observations = 0, []
     for group in groups:
@@ -73,11 +74,11 @@ def description(env: ManagerBasedRLEnv, agent: Mapping[str, Any], iteration: int
         "default_joint_pos_rad": dict(zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True)),
         "observation_width": offset,
         "observations": observations,
-        "observation_config": {group: env.cfg["observations"][group] for group in groups},
+        "observation_config": {group: plain_section(env.options.observations[group]) for group in groups},
         "action_width": start,
-        "clip_actions": agent.get("clip_actions"),
+        "clip_actions": agent.clip_actions,
         "actions": actions,
-        "action_config": env.cfg["actions"],
-        "actuators": env.cfg["robot"]["actuators"],
+        "action_config": env.options.actions,
+        "actuators": env.options.robot.actuators,
     }
     return json.dumps(content, indent=2) + "\n"

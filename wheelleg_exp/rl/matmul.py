@@ -9,7 +9,7 @@ and export always use float32. Isaac Lab trains with TF32, a format with a manti
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import is_intel
+from wheelleg_exp.rl.options import Learning, Matmul
 
 if TYPE_CHECKING:
     from rsl_rl.modules import MLP
@@ -35,23 +36,23 @@ _WITH_VECTORS = (*_ANY, "AVX512_CORE_BF16", "AVX10_1_512", "AVX512_CORE_FP16")
 _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
-def chosen_matmul(agent: Mapping[str, Any]) -> str:
+def chosen_matmul(agent: Learning) -> Matmul:
     """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
 
-    Old runs without the config key ``agent.matmul`` used float32. The value ``auto`` selects the precision by the type
+    The value ``auto`` selects the precision by the type
     of hardware, not by a measurement, so that restarts of a run use the same precision. ``chosen_matmul`` raises
     ConfigError if the device of the training does not support the precision.
     """
-    wanted, kind, why_not = str(agent.get("matmul", "float32")), str(agent["device"]).partition(":")[0], ""
+    wanted, kind, why_not = agent.matmul, agent.device.partition(":")[0], ""
     if kind != "cpu":
-        why_not = f"agent.device is {agent['device']}"
-    elif agent.get("torch_compile_mode") is not None:
+        why_not = f"agent.device is {agent.device}"
+    elif agent.torch_compile_mode is not None:
         why_not = "agent.torch_compile_mode compiles the networks"
     if wanted == "bfloat16" and why_not:
         raise ConfigError(f"bfloat16 is for eager mode on CPUs, but {why_not}", key=KEY, expected="auto or float32")
     on_gpu = kind == "cuda"
     if wanted == "tf32" and not on_gpu:
-        message = f"tf32 is for GPUs, and agent.device is {agent['device']}"
+        message = f"tf32 is for GPUs, and agent.device is {agent.device}"
         raise ConfigError(message, key=KEY, expected="auto or float32")
     if wanted != "auto" or on_gpu:
         return "tf32" if wanted == "auto" else wanted
@@ -158,7 +159,8 @@ def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bo
     The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. If ``elu`` is True, the
     activation ELU (alpha 1) is applied, and the output is bfloat16; otherwise, the output is float32.
     """
-    return _Linear.apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
+    apply: Callable[..., torch.Tensor] = _Linear.apply
+    return apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)
 
 
 class _Linear(torch.autograd.Function):
@@ -169,7 +171,7 @@ class _Linear(torch.autograd.Function):
         if elu:
             # Add a layer's bias and apply ELU in float32, in place, in blocks of rows that fit into the CPU cache.
             # torch's ELU is not used, because its result, unlike that of `exp`, depends on the number of threads.
-            for rows in y.split(max(1, _BLOCK // y.shape[1])):
+            for rows in torch.split(y, max(1, _BLOCK // y.shape[1])):
                 part = rows + bias
                 rows.copy_(torch.maximum(part, part.clamp(max=0).exp_().sub_(1), out=part))
         else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from rsl_rl.models import MLPModel
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 
@@ -29,7 +30,7 @@ class Initial:
     facts: Mapping[str, Any]
 
 
-def load_teacher(algorithm: Any, state: Mapping[str, Any]) -> None:
+def load_teacher(algorithm: Any, state: Mapping[str, object]) -> None:
     """Load the policy of a checkpoint into the teacher network of a distillation."""
     try:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
@@ -80,13 +81,13 @@ def _widened(state: Mapping[str, torch.Tensor], more: int) -> dict[str, torch.Te
     return {**state, **wide}
 
 
-def load_policy(path: Path, env: RslRlVecEnv, agent: Mapping[str, Any]) -> MLPModel:
+def load_policy(path: Path, env: RslRlVecEnv, agent: Learning) -> MLPModel:
     """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
 
     ``load_policy`` raises RunDirectoryError if a checkpoint is damaged or its networks do not fit the environment.
     """
     state = checkpoint.load(path)
-    policy = build_algorithm(env, {**agent, "device": str(env.env.device)}).get_policy()
+    policy = build_algorithm(env, replace(agent, device=str(env.env.device))).get_policy()
     try:
         policy.load_state_dict(checkpoint.policy_state(state))
     except (RuntimeError, TypeError, AttributeError) as error:

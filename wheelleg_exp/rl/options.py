@@ -5,14 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Count, Natural, NonNegative, NotEmpty, Parameters, Positive, Rising
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.terms.config_sections import section_errors
+from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.terms.config_values import value_errors
 from wheelleg_exp.terms.key_syntax import below
+
+Matmul = Literal["auto", "float32", "bfloat16", "tf32"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class Learning:
             updates change a policy's current weights, not the averaged weights.
     """
 
+    roles: ClassVar[tuple[str, ...]]  # the networks: first the policy, then the network that helps to train it
+
     algorithm: Parameters
     num_steps_per_env: Count
     max_iterations: Count
@@ -61,9 +65,14 @@ class Learning:
     logger: Literal["tensorboard", "wandb"] | None = "tensorboard"
     torch_compile_mode: str | None = None
     max_non_finite: NonNegative = 0.1
-    matmul: Literal["auto", "float32", "bfloat16", "tf32"] = "float32"
+    matmul: Matmul = "float32"
     graph_update: bool = False
     average_iterations: Natural = 0
+
+    @property
+    def networks(self) -> dict[str, Parameters]:
+        """The options of each network."""
+        return {role: getattr(self, role) for role in self.roles}
 
     @staticmethod
     def of_section(agent: Mapping[str, object]) -> type[Learning]:
@@ -76,6 +85,8 @@ class Learning:
 @dataclass(frozen=True, kw_only=True)
 class Agent(Learning):
     """``agent`` of reinforcement learning: an actor and its critic."""
+
+    roles: ClassVar = ("actor", "critic")
 
     actor: Parameters
     critic: Parameters
@@ -90,6 +101,8 @@ class DistillationAgent(Learning):
         teacher_checkpoint: whose actor teaches: a checkpoint's path, or a run by path, id or `latest`, whose last
             checkpoint it is. The run keeps a copy.
     """
+
+    roles: ClassVar = ("student", "teacher")
 
     student: Parameters
     teacher: Parameters
@@ -125,21 +138,25 @@ PARAMETERS: dict[str, Any] = {
 }
 
 
-def require_agent(agent: Mapping[str, Any], num_envs: int) -> None:
-    """Raise ConfigError for the first invalid value in the config section ``agent``."""
-    errors = [*section_errors("agent", agent, Learning.of_section(agent)), *parameter_errors(agent)]
-    for error in errors or batch_errors(agent, num_envs):
+def read_agent(agent: Mapping[str, object]) -> Learning:
+    """Return the config section ``agent`` as options; raise ConfigError at the first mistake."""
+    return read_section(Learning.of_section(agent), agent, "agent")
+
+
+def require_agent(agent: Learning, num_envs: int) -> None:
+    """Raise ConfigError for the first invalid parameter of rsl_rl, and for too few samples."""
+    for error in (*parameter_errors(plain_section(agent)), *batch_errors(agent, num_envs)):
         raise error
 
 
-def parameter_errors(agent: Mapping[str, Any]) -> Iterator[ConfigError]:
+def parameter_errors(agent: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield an error for each invalid value of rsl_rl's parameters."""
     for name, section in agent.items():
         if isinstance(section, Mapping) and name != "obs_groups":
             yield from _below(below("agent", str(name)), section)
 
 
-def _below(path: str, node: Mapping[str, Any]) -> Iterator[ConfigError]:
+def _below(path: str, node: Mapping[str, object]) -> Iterator[ConfigError]:
     for name, value in node.items():
         key = below(path, str(name))
         if name in PARAMETERS:
@@ -148,13 +165,13 @@ def _below(path: str, node: Mapping[str, Any]) -> Iterator[ConfigError]:
             yield from _below(key, value)
 
 
-def batch_errors(agent: Mapping[str, Any], num_envs: int) -> Iterator[ConfigError]:
+def batch_errors(agent: Learning, num_envs: int) -> Iterator[ConfigError]:
     """Yield an error if a training iteration has less than two samples, or fewer samples than minibatches."""
-    samples = num_envs * int(agent["num_steps_per_env"])
+    samples = num_envs * agent.num_steps_per_env
     if samples < 2:  # PPO divides advantages by their standard deviation, which needs two samples.
         message, expected = f"{samples} sample is too little to learn from", "at least 2 samples, env.num_envs times it"
         yield ConfigError(message, key="agent.num_steps_per_env", expected=expected)
-    elif agent["algorithm"].get("num_mini_batches", 1) > samples:
+    elif agent.algorithm.get("num_mini_batches", 1) > samples:
         expected = f"at most {samples}, env.num_envs times agent.num_steps_per_env"
         message, key = "there are fewer samples than minibatches", "agent.algorithm.num_mini_batches"
         yield ConfigError(message, key=key, expected=expected)

@@ -42,7 +42,7 @@ class PolicyAverage:
         for name, value in now.items():
             self._mean[name].lerp_(value, share) if value.is_floating_point() else self._mean[name].copy_(value)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return the policy's mean weights for a checkpoint; an empty dictionary before the first policy update."""
         return {STATE: cloned(self._mean)} if self._count else {}
 

@@ -16,7 +16,7 @@ import socket
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,9 @@ from wheelleg_exp.errors import EXIT_FAILED, ConfigError, SimulationFailure, Whe
 from wheelleg_exp.machine import usable_cores
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.rollout_log import SCALAR
+from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.torchrun import number, world_size
 
 _COMMUNICATION = Path(dist.__file__).parent
@@ -115,17 +117,16 @@ class Ranks:
         """Return the seed of this rank's streams: the run's, or for later ranks that of the stream ``rank/<n>``."""
         return seed if self.first else stream_seed(seed, f"rank/{self.rank}")
 
-    def config(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the config of this process (rank), with its own GPU for ``cuda`` and its share of the CPU cores."""
+    def env(self, options: EnvOptions) -> EnvOptions:
+        """Return the environment's options of this process (rank), with its own GPU for ``cuda`` and its CPU cores."""
         if not self.together:
-            return dict(config)
-        agent, env = dict(config["agent"]), dict(config["env"])
-        sim = dict(env["sim"])
-        agent["device"] = self._device("agent.device", str(agent["device"]))
-        sim["device"] = self._device("env.sim.device", str(sim["device"]))
-        if not sim["nthread"]:
-            sim["nthread"] = max(1, usable_cores() // self.locals)
-        return {**config, "agent": agent, "env": {**env, "sim": sim}}
+            return options
+        sim = replace(options.sim, device=self._device("env.sim.device", options.sim.device))
+        return replace(options, sim=replace(sim, nthread=sim.nthread or max(1, usable_cores() // self.locals)))
+
+    def agent(self, options: Learning) -> Learning:
+        """Return the agent's options of this process (rank), with its own GPU for ``cuda``."""
+        return replace(options, device=self._device("agent.device", options.device)) if self.together else options
 
     def _device(self, key: str, name: str) -> str:
         kind, _, number = name.partition(":")
@@ -142,12 +143,12 @@ class Ranks:
         """Return the value of rsl_rl's parameter ``multi_gpu``; None if one process trains alone."""
         return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
 
-    def facts(self, config: Mapping[str, Any]) -> dict[str, Any] | None:
+    def facts(self, seed: int, device: str) -> dict[str, object] | None:
         """Return the manifest's entry about the ranks: number, backend, and the seed, device, and host of each."""
         if not self.together:
             return None
-        device = str(self.config(config)["agent"]["device"])
-        mine = {"seed": self.seed(int(config["seed"])), "device": device, "host": socket.gethostname()}
+        device = self._device("agent.device", device)
+        mine = {"seed": self.seed(seed), "device": device, "host": socket.gethostname()}
         each = self.gather_all(mine)
         backend = "nccl" if device.startswith("cuda") else "gloo"
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
@@ -169,7 +170,7 @@ class Ranks:
         """Send a JSON value from the first process (rank) to all ranks, and return this value on every rank."""
         return self.gather_all(value if self.first else None)[0]
 
-    def gather(self, tree: Mapping[str, Any]) -> list[dict[str, Any]]:
+    def gather(self, tree: Mapping[str, object]) -> list[dict[str, Any]]:
         """Send this rank's state to the first rank. Return all ranks' states on the first rank, and [] elsewhere."""
         if not self.together:
             return [dict(tree)]
@@ -282,7 +283,7 @@ OWN_KEYS_OF_A_RANK = ("unsaved", "env", "log", "rng")
 RANKS_KEY = "ranks"
 
 
-def state_of_all_ranks(ranks: Ranks, state: Mapping[str, Any]) -> dict[str, Any]:
+def state_of_all_ranks(ranks: Ranks, state: Mapping[str, object]) -> dict[str, object]:
     """Return ``state``; on the first rank, add the states of all other ranks under the key ``ranks``."""
     parts = ranks.gather({key: state[key] for key in OWN_KEYS_OF_A_RANK}) if ranks.together else []
     return {**state, RANKS_KEY: parts[1:]} if parts else dict(state)
@@ -294,7 +295,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
     return {**{key: value for key, value in state.items() if key != RANKS_KEY}, **own}
 
 
-def digests_of_all(ranks: Ranks, state: Mapping[str, Any]) -> tuple[dict[str, str], bool]:
+def digests_of_all(ranks: Ranks, state: Mapping[str, object]) -> tuple[dict[str, str], bool]:
     """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
 
     All ranks must call ``digests_of_all``, each with its own state, because the ranks exchange digests.

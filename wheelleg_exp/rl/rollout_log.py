@@ -12,7 +12,6 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.managers.non_finite import ACTIONS, POLICY
 from wheelleg_exp.rl.determinism import one_thread
-from wheelleg_exp.rl.options import Agent
 
 SCALAR = "Diagnostics/non_finite/"  # ``SCALAR`` is the name prefix of scalars that count episodes with NaN or inf.
 
@@ -20,12 +19,12 @@ SCALAR = "Diagnostics/non_finite/"  # ``SCALAR`` is the name prefix of scalars t
 class FailureCount:
     """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
 
-    Each training iteration may have up to max(1, ``agent.max_non_finite * num_envs``) episodes with NaN or inf.
+    Each training iteration may have up to max(1, ``max_non_finite * num_envs``) episodes with NaN or inf.
     """
 
-    def __init__(self, num_envs: int, agent: Mapping[str, Any]) -> None:
+    def __init__(self, num_envs: int, max_non_finite: float) -> None:
         self._num_envs = num_envs
-        self._allowed = max(1, int(float(agent.get("max_non_finite", Agent.max_non_finite)) * num_envs))
+        self._allowed = max(1, int(max_non_finite * num_envs))
         self._evidence: Mapping[str, Any] = {}
         self.episodes = 0
         self.by_key: Counter[str] = Counter()
@@ -107,7 +106,7 @@ class EpisodeLog:
             scalars["Train/mean_episode_length"] = sum(self._lengths) / len(self._lengths)
         return scalars
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return all collected episode returns, lengths, and log values, which a checkpoint saves."""
         self._take_pending()
         ended = {"returns": list(self._returns), "lengths": list(self._lengths)}

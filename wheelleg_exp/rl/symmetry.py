@@ -178,12 +178,6 @@ def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -
     return sources, torch.tensor([sign for _, sign in turned], device=device)
 
 
-def options_of(agent: Mapping[str, Any]) -> SymmetryOptions | None:
-    """Return the config section ``agent.symmetry``; None if the section is missing."""
-    section = agent.get("symmetry")
-    return None if section is None else SymmetryOptions(**section)
-
-
 def is_mirror_loss_only(symmetry: Any) -> bool:
     """Return whether ``symmetry`` uses ``left_right`` for the mirror loss, but not for data augmentation."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right

@@ -21,6 +21,7 @@ from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsav
 from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.policy_average import PolicyAverage
 from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
@@ -41,7 +42,7 @@ class Iteration:
 
 
 class Trainer:
-    """Trains a policy with the options of the config section ``agent``.
+    """Trains a policy with the options of the agent.
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
     torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. If ``initial`` is
@@ -52,32 +53,32 @@ class Trainer:
     def __init__(
         self,
         env: RslRlVecEnv,
-        agent: Mapping[str, Any],
+        agent: Learning,
         seed: int,
-        teacher: Mapping[str, Any] | None = None,
+        teacher: Mapping[str, object] | None = None,
         initial: Initial | None = None,
         ranks: Ranks = ALONE,
     ) -> None:
         self.env = env
         self.ranks = ranks
-        self.device = str(agent["device"])
-        self.num_steps = int(agent["num_steps_per_env"])
+        self.device = agent.device
+        self.num_steps = agent.num_steps_per_env
         self.iteration = 0
-        self._agent = dict(agent)
+        self._agent = agent
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
         env.half = mirrored_half(env, agent)
         if teacher is not None:
             load_teacher(self.algorithm, teacher)
         if initial is not None:
-            load_initial(self.algorithm, initial, env, agent["obs_groups"])
+            load_initial(self.algorithm, initial, env, agent.obs_groups)
         self._is_declared = False  # whether the first rollout has been checked for undeclared state
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)
-        self.average = PolicyAverage(self.algorithm.get_policy(), int(agent.get("average_iterations", 0)))
+        self.average = PolicyAverage(self.algorithm.get_policy(), agent.average_iterations)
         self._matmul = chosen_matmul(agent)
         # CUDA graphs give the same actions and policy updates as rsl_rl's PPO.
-        captures = agent.get("graph_update") and can_capture_update(self.algorithm)
+        captures = agent.graph_update and can_capture_update(self.algorithm)
         self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
 
     def learn(self, until: int) -> Iterator[Iteration]:
@@ -109,7 +110,7 @@ class Trainer:
     @torch.inference_mode()
     def _roll_out(self) -> None:
         observations = self.env.get_observations().to(self.device)
-        failed = FailureCount(self.env.num_envs, self._agent)
+        failed = FailureCount(self.env.num_envs, self._agent.max_non_finite)
         undeclared = None if self._is_declared else UndeclaredChanges(self.env.env)
         for _ in range(self.num_steps):
             actions = self._ppo.act(observations).to(self.env.env.device)
@@ -196,7 +197,7 @@ class Trainer:
         rate = {"learning_rate": torch.tensor(float(self.algorithm.learning_rate))}
         return rate | {f"loss.{name}": torch.tensor(float(value)) for name, value in losses.items()}
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return everything that a checkpoint needs to resume the training; ``iter`` is the last finished iteration."""
         rng = {"torch": torch.get_rng_state()}
         if torch.device(self.device).type not in ("cpu", "meta"):

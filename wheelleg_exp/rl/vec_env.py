@@ -27,7 +27,7 @@ class RslRlVecEnv(VecEnv):
         self.device = str(env.device)
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
-        self._is_finite = bool(env.cfg.get("is_finite_horizon", False))
+        self._is_finite = env.options.is_finite_horizon
         self.mirror: Any = None  # ``mirror`` mirrors samples for rsl_rl's symmetry extension.
         self.half: Any = None  # ``half`` mirrors every second environment during training.
         env.reset()
@@ -50,7 +50,7 @@ class RslRlVecEnv(VecEnv):
         """Return the last observations without drawing random numbers or changing the environment's state."""
         return self._as_tensordict(self.env.observation_manager.obs_buf)
 
-    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
         """Apply the actions (N, A) of one control step; return observations, rewards (N,), dones (N,), and extras.
 
         ``extras`` contains ``time_outs`` (N,), except if ``env.is_finite_horizon`` is set. At a time-out, rsl_rl adds

@@ -124,7 +124,7 @@ def keys_of(options: type) -> dict[str, Key]:
     }
 
 
-def section_errors(path: str, node: Mapping[str, Any], options: type) -> list[ConfigError]:
+def section_errors(path: str, node: Mapping[str, object], options: type) -> list[ConfigError]:
     """Return the errors in a config section ``node``; the dataclass ``options`` defines its valid keys and values."""
     keys = keys_of(options)
     errors = []
@@ -200,6 +200,6 @@ def plain_section(options: object) -> Any:
     """Return an instance of a section's dataclass as the plain config section, with the keys that have defaults."""
     if dataclasses.is_dataclass(options):
         return {f.name: plain_section(getattr(options, f.name)) for f in dataclasses.fields(options)}
-    if isinstance(options, Mapping):
-        return {k: plain_section(v) for k, v in options.items()}
-    return [*options] if isinstance(options, tuple) else options  # a default interval; YAML has lists
+    if isinstance(options, tuple):  # the default of a list
+        return list(options)
+    return {k: plain_section(v) for k, v in options.items()} if isinstance(options, Mapping) else options

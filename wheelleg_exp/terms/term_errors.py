@@ -59,7 +59,7 @@ def parameter_errors(section: str, term: binding.TermNode, target: Callable[...,
     return list(_name_errors(section, term, target)) + _value_errors(term, target)
 
 
-def nested_errors(path: str, node: Mapping[str, Any], target: Callable[..., Any]) -> list[ConfigError]:
+def nested_errors(path: str, node: Mapping[str, object], target: Callable[..., Any]) -> list[ConfigError]:
     """Return the mistakes in a ``_target_`` node that is not a term: a sensor, an actuator, noise, an entity."""
     try:
         parameters = binding.target_arguments(node, path)
@@ -117,7 +117,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
     ]
 
 
-def type_hints(target: Callable[..., Any]) -> dict[str, Any]:
+def type_hints(target: Callable[..., Any]) -> dict[str, object]:
     """Return the annotations of the parameters of a function or class, including constraints.
 
     ``type_hints`` omits annotations that cannot be evaluated, such as classes imported only under ``TYPE_CHECKING``.

@@ -20,7 +20,7 @@ from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
-from wheelleg_exp.rl.options import batch_errors
+from wheelleg_exp.rl.options import batch_errors, read_agent
 from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits
 from wheelleg_exp.terms.key_syntax import dotted, split_path
@@ -113,13 +113,9 @@ def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
     errors += check_terms.check_drawn(config)
     errors += check_agent(config.get("agent"), groups)
-    if (
-        isinstance(num_envs, int)
-        and fits(num_envs, Count)
-        and not any(f"{error.key}.".startswith("agent.") for error in errors)
-    ):
-        errors += batch_errors(section_at(config, "agent"), num_envs)
-    return errors
+    if fits(num_envs, Count) and not any(f"{error.key}.".startswith("agent.") for error in errors):
+        errors += batch_errors(read_agent(section_at(config, "agent")), int(str(num_envs)))
+    return sorted(errors, key=lambda error: f"{error.key}.".startswith("agent."))
 
 
 def require_valid(composed: Composed) -> None:

@@ -34,7 +34,6 @@ from wheelleg_exp.files import (
     write_json,
     write_text,
 )
-from wheelleg_exp.jobs.evaluate_policy import Margin, margins_of
 from wheelleg_exp.jobs.export import bundle
 from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.bundle_check import READING, TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
@@ -51,6 +50,7 @@ from wheelleg_exp.jobs.export.c_header import c_header
 from wheelleg_exp.jobs.export.isaaclab_run import write_isaac_lab_run
 from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
 from wheelleg_exp.jobs.export.policy_json import PolicyJson
+from wheelleg_exp.jobs.saved_evaluation import Margin, margins_of
 from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.machine import require_memory
@@ -58,6 +58,7 @@ from wheelleg_exp.managers.scene_manager import SceneManager
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.rl import export as formats
 from wheelleg_exp.rl.network_loading import load_policy
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -207,7 +208,7 @@ def _fill(
     mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
     if kind == ISAAC_LAB:
         env = ManagerBasedRLEnv({**params, "num_envs": 1}, mjcf, seed)
-        policy = load_policy(checkpoint, RslRlVecEnv(env, agent.get("clip_actions")), agent)
+        policy = load_policy(checkpoint, RslRlVecEnv(env, agent.get("clip_actions")), read_agent(agent))
         task = str(run.manifest().data.get("task"))
         return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy, task)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
@@ -217,9 +218,9 @@ def _fill(
     width = plain_spec["observation_width"]
     require_memory(4 * steps * width, f"env.observations.{groups[0]}", f"{steps} recorded steps of {width:,} numbers")
     env = ManagerBasedRLEnv(as_checked(params, plain_spec["rolling_joints"]), mjcf, seed)
-    set_threads(agent, env.scene.sim.nthread)
+    set_threads(read_agent(agent), env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
-    policy = load_policy(checkpoint, adapter, agent)
+    policy = load_policy(checkpoint, adapter, read_agent(agent))
     network, arrays = network_arrays(policy, role)
     clip, names = (
         agent.get("clip_actions"),

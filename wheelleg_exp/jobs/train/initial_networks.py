@@ -199,13 +199,13 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         yield {INITIAL: path}, {} if run is None else {"run": run.id, "task": str(run.manifest().data["task"])}
 
 
-def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
+def saved_initial(init_from: str | None, asset: CachedConversion) -> Initial | None:
     """Load the initial networks from the run directory; return None if the config has no ``init_from``."""
-    if config.get(KEY) is None:
+    if init_from is None:
         return None
     path = asset.output.parent / INITIAL
     if not path.is_file():
-        message = f"is missing: the training started with the policy of '{config[KEY]}'"
+        message = f"is missing: the training started with the policy of '{init_from}'"
         expected = "the saved networks; without them the run cannot be trained again from its start"
         raise RunDirectoryError(message, key=str(path), expected=expected)
     state = checkpoint.load(path)
@@ -214,7 +214,7 @@ def saved_initial(config: Tree, asset: CachedConversion) -> Initial | None:
         message = "does not name the run of the initial networks"
         raise RunDirectoryError(message, key=str(path), expected="the file that the run saved")
     parts = [str(part) for part in facts.get("parts") or ()]
-    named = {"named": str(config[KEY]), "kept": INITIAL, "kept_sha256": sha256(path)}
+    named = {"named": init_from, "kept": INITIAL, "kept_sha256": sha256(path)}
     return Initial(state, tuple(parts), {**facts, **named})
 
 
@@ -276,7 +276,7 @@ def find_teacher(config: Tree) -> dict[str, Path]:
     return {TEACHER: path}
 
 
-def saved_teacher(asset: CachedConversion) -> dict[str, Any] | None:
+def saved_teacher(asset: CachedConversion) -> dict[str, object] | None:
     """Load the teacher's checkpoint that the run directory contains; return None if the training has no teacher."""
     path = asset.output.parent / TEACHER
     return checkpoint.load(path) if path.is_file() else None

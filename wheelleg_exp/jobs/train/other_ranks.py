@@ -5,31 +5,32 @@ All ranks must call the collective operations in the same order, because each op
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.train.prepare_training import build_trainer, find_inputs
 from wheelleg_exp.jobs.train.training_outputs import checkpoint_due, digested
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import FirstRankFailed, Ranks, digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.stop_request import StopRequest
 
 
-def prepare_other_rank(composed: Composed, ranks: Ranks) -> Trainer:
-    """Prepare a training in a rank above 0; rank 0 calls ``prepare_training.prepare`` and reports the errors."""
+def prepare_other_rank(composed: Composed, ranks: Ranks) -> tuple[Trainer, Learning]:
+    """Prepare a training in a rank above 0; return the trainer and the options of the agent.
+
+    Rank 0 calls ``prepare_training.prepare`` and reports the errors.
+    """
     with ranks.agreed():
         recipe = find_inputs(composed, Display())
     with ranks.agreed():
         trainer, _ = build_trainer(recipe, ranks)
-    ranks.facts(recipe.config)
-    return trainer
+    ranks.facts(recipe.experiment.seed, recipe.experiment.agent.device)
+    return trainer, recipe.experiment.agent
 
 
-def run_other_rank(trainer: Trainer, agent: Mapping[str, Any], stop: StopRequest) -> None:
+def run_other_rank(trainer: Trainer, agent: Learning, stop: StopRequest) -> None:
     """Train in a rank above 0, and send the training state to rank 0, which writes it into checkpoints."""
-    total, state, unsaved = int(agent["max_iterations"]), None, False
+    total, state, unsaved = agent.max_iterations, None, False
     ranks = trainer.ranks
     stop.check(ranks.any(stop.requested))
     try:

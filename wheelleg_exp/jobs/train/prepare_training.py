@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.config.schema import RecordingOptions
+from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.files import sync_folder
 from wheelleg_exp.jobs.job_display import Display
@@ -34,6 +35,7 @@ from wheelleg_exp.jobs.train.scalar_logs import require_wandb
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests, source_roots
 from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.rl.determinism import no_global_draws
+from wheelleg_exp.rl.options import DistillationAgent, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -44,19 +46,25 @@ from wheelleg_exp.run.run_lock import RunLock
 from wheelleg_exp.run.source_changes import source_lines
 from wheelleg_exp.run.source_restore import load_source
 from wheelleg_exp.run.start_run import start_run
+from wheelleg_exp.terms.config_sections import read_section
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """The inputs of a training."""
+    """The inputs of a training. ``config`` is the composed config as plain data, which the run directory stores."""
 
     config: dict[str, Any]
     hydra_files: Mapping[str, str]
     source_roots: Sequence[Path]  # the source folders to record; the folder of this package comes first
     asset: CachedConversion
     config_dirs: Sequence[Path] = ()
-    initial_run: Mapping[str, Any] = field(default_factory=dict)
-    matmul: str | None = None  # the matrix product precision of a resumed run; None for a new run
+    initial_run: Mapping[str, object] = field(default_factory=dict)
+    matmul: Matmul | None = None  # the matrix product precision of a resumed run; None for a new run
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """The config of the training as options."""
+        return read_section(Experiment, self.config, "")
 
 
 @dataclass(frozen=True)
@@ -84,7 +92,8 @@ def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ran
     """Prepare a training from its inputs: all steps except ``find_inputs``."""
     with ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
-    directory, manifest = create_run(recipe, trainer, threads, ranks.facts(recipe.config), command, display)
+    rank_facts = ranks.facts(recipe.experiment.seed, recipe.experiment.agent.device)
+    directory, manifest = create_run(recipe, trainer, threads, rank_facts, command, display)
     for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
         display.note(line)
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
@@ -100,21 +109,21 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     return Recipe(config, composed.hydra_files(), roots, asset, folders, initial_run)
 
 
-def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, Any]]:
+def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[str, object]]:
     """Build the environment and the networks; return the trainer, and facts about threads for the run's manifest."""
-    config = ranks.config(recipe.config)
-    agent = config["agent"]
-    if recipe.matmul is not None and agent.get("matmul") == "auto":
-        agent = {**agent, "matmul": recipe.matmul}
-    require_wandb(agent.get("logger"))
+    experiment = recipe.experiment
+    agent, seed = ranks.agent(experiment.agent), experiment.seed
+    if recipe.matmul is not None and agent.matmul == "auto":
+        agent = replace(agent, matmul=recipe.matmul)
+    require_wandb(agent.logger)
     with no_global_draws():
-        env = ManagerBasedRLEnv(config["env"], recipe.asset.output, ranks.seed(config["seed"]))
-    require_graphics(env, RecordingOptions(**config["recording"]))
-    samples = env.num_envs * int(agent["num_steps_per_env"])
+        env = ManagerBasedRLEnv(ranks.env(experiment.env), recipe.asset.output, ranks.seed(seed))
+    require_graphics(env, experiment.recording)
+    samples = env.num_envs * agent.num_steps_per_env
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
-    teacher = saved_teacher(recipe.asset) if "teacher" in agent else None
-    initial = saved_initial(config, recipe.asset)
-    trainer = Trainer(RslRlVecEnv(env, agent.get("clip_actions")), agent, config["seed"], teacher, initial, ranks)
+    teacher = saved_teacher(recipe.asset) if isinstance(agent, DistillationAgent) else None
+    initial = saved_initial(experiment.init_from, recipe.asset)
+    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
 
 
@@ -127,28 +136,27 @@ def create_run(
     display: Display,
 ) -> tuple[RunDirectory, Manifest]:
     """Create the run directory with a snapshot of config and source code; return the run directory and its manifest."""
-    config, env = recipe.config, trainer.env.env
-    run = config["run"]
-    directory = RunDirectory.create(run["root"], config["task"]["name"], config["seed"], run.get("name"))
+    config, env = recipe.experiment, trainer.env.env
+    directory = RunDirectory.create(config.run.root, config.task.name, config.seed, config.run.name)
     try:
         display.environment(env.describe())
-        save_robot(directory, recipe.asset, config["env"]["robot"]["asset"], env.scene.model_digest())
+        save_robot(directory, recipe.asset, config.env.robot.asset, env.scene.model_digest())
         manifest = start_run(
             directory,
             command=command,
-            params={"env": config["env"], "agent": config["agent"]},
+            params={"env": recipe.config["env"], "agent": recipe.config["agent"]},
             hydra_files=recipe.hydra_files,
             source_roots=[*recipe.source_roots, *loaded_outside(recipe.source_roots)],
-            seed=config["seed"],
-            task=config["task"]["name"],
+            seed=config.seed,
+            task=config.task.name,
             threads=threads,
-            max_patch_mb=run.get("max_patch_mb"),
+            max_patch_mb=config.run.max_patch_mb,
         )
         folders = [str(folder) for folder in recipe.config_dirs]
         manifest.record(engine=env.scene.sim.promise(), modules=module_digests(), config_dirs=folders)
         if rank_facts is not None:
             manifest.record(ranks=rank_facts)
-        if (initial := saved_initial(config, recipe.asset)) is not None:
+        if (initial := saved_initial(config.init_from, recipe.asset)) is not None:
             manifest.record(init_from={**recipe.initial_run, **initial.facts})
             source = recipe.initial_run.get("run") or initial.facts["named"]
             display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")

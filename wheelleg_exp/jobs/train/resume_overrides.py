@@ -87,7 +87,7 @@ def _same_value(was: Any, now: Any) -> bool:
     return type(was) is type(now) and bool(was == now)
 
 
-def change_entry(change: Change) -> dict[str, Any]:
+def change_entry(change: Change) -> dict[str, object]:
     """Return a config change for the manifest; a missing key has the value None."""
     was, now = (None if value is ABSENT else value for value in (change.a, change.b))
     return {"key": change.key, "was": was, "now": now}
@@ -106,7 +106,7 @@ def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mappi
         _require_same_terms(change, recorded["env"][section], tree["env"].get(section))
 
 
-def _require_same_terms(change: Change, recorded: Mapping[str, Any], now: Any) -> None:
+def _require_same_terms(change: Change, recorded: Mapping[str, object], now: Any) -> None:
     if not isinstance(now, Mapping) or list(now) != list(recorded):
         raise _refusal(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
     if change.keys[3:] in ((), ("_target_",), ("mode",)):
@@ -120,7 +120,7 @@ def _refusal(change: Change, why: str) -> ConfigError:
 
 
 def rewritten_files(
-    run: RunDirectory, tree: Mapping[str, Any], found: Sequence[Change], overrides: Sequence[str]
+    run: RunDirectory, tree: Mapping[str, object], found: Sequence[Change], overrides: Sequence[str]
 ) -> dict[str, str]:
     """Return the run's config files with the changed settings as ``{path: text}``, or {} without a change."""
     if not found:

@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import cut, for_people, temporaries
@@ -33,12 +32,12 @@ class ResumePoint:
 
     iteration: int  # the first training iteration that the resume computes
     checkpoint: Path | None  # the checkpoint from which the run resumes; None if the run restarts at iteration 0
-    state: Mapping[str, Any] | None
+    state: Mapping[str, object] | None
     lines: Sequence[Line]  # the complete lines in the run's iteration log
     damaged: Mapping[Path, str]  # maps each damaged checkpoint after ``iteration`` to a text about the damage
 
     @property
-    def earlier_lines(self) -> list[Mapping[str, Any]]:
+    def earlier_lines(self) -> list[Mapping[str, object]]:
         """The lines in the run's iteration log up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.config_errors import join, parts
 from wheelleg_exp.config.explaining.config_diff import Change
@@ -26,6 +25,7 @@ from wheelleg_exp.jobs.train.source_roots import differences_now, shorten
 from wheelleg_exp.packages import join_recorded, left_out, read_project
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl import checkpoint, digests, policy_average
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import ALONE, Ranks, state_of_rank
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.manifest import Manifest
@@ -37,13 +37,13 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 from wheelleg_exp.verify.run_differences import decides
 
 
-def resume_recipe(run: RunDirectory, tree: dict[str, Any], text: str, folders: Sequence[Path]) -> Recipe:
+def resume_recipe(run: RunDirectory, tree: dict[str, object], text: str, folders: Sequence[Path]) -> Recipe:
     """Return the inputs of a resumed training, with the robot that the run directory contains."""
     matmul = (run.manifest().data.get("threads") or {}).get("matmul")
     return Recipe(tree, {"config.yaml": text}, (), load_saved_robot(run), folders, matmul=matmul)
 
 
-def load_state(trainer: Trainer, state: Mapping[str, Any], learning_rate: float | None) -> list[str]:
+def load_state(trainer: Trainer, state: Mapping[str, object], learning_rate: float | None) -> list[str]:
     """Load the state of a checkpoint into a training; return texts about state that could not be restored exactly.
 
     Each rank (process) loads its own part of the checkpoint's state. A ``learning_rate`` that is not None replaces the
@@ -81,8 +81,8 @@ def require_same_world_size(manifest: Manifest, ranks: Ranks) -> None:
     )
 
 
-def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, dict[str, Any]]:
-    """Prepare the resume of a run in a rank above 0; return the trainer and the config section ``agent``."""
+def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Trainer, Learning]:
+    """Prepare the resume of a run in a rank above 0; return the trainer and the options of the agent."""
     with ranks.agreed():
         pass  # The ranks above 0 wait while rank 0 reads the run directory.
     message = ranks.from_first(None)
@@ -96,7 +96,7 @@ def prepare_other_rank(ranks: Ranks, config_dirs: Sequence[Path]) -> tuple[Train
             state = checkpoint.load(Path(message["checkpoint"]), finite=False)
             why = load_state(trainer, state, message["learning_rate"])
     ranks.gather_all([f"in process {ranks.rank}, {reason}" for reason in why])
-    return trainer, message["tree"]["agent"]
+    return trainer, recipe.experiment.agent
 
 
 def _processes(count: int) -> str:
@@ -149,9 +149,10 @@ def _prepare(
         with _naming_unused_folders(unused):
             tree, changes = change_settings(recorded_config, overrides)
         point = find_point(run)
-        _require_work(manifest, point, int(tree["agent"]["max_iterations"]))
         texts = rewritten_files(run, tree, changes, overrides)
         recipe = resume_recipe(run, tree, texts.get(CONFIG) or read_text(run.path / CONFIG), folders)
+        agent = recipe.experiment.agent
+        _require_work(manifest, point, agent.max_iterations)
     # 2. Build the environment and the networks in every rank.
     if ranks.together:
         ranks.from_first(
@@ -166,7 +167,7 @@ def _prepare(
     with _naming_unused_folders(unused), ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     if not manifest.data["source"]:  # If the run was killed before its source code was recorded, record the code now.
-        complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, tree["run"].get("max_patch_mb"))
+        complete_snapshot(run, manifest, [configs_dir().parent, *folders], threads, recipe.experiment.run.max_patch_mb)
     # 3. Load the checkpoint, and collect the reasons why the resumed run may be inexact.
     with ranks.agreed():
         why = _load(run, trainer, point, changes)
@@ -193,8 +194,8 @@ def _prepare(
         notes=notes,
     )
     with manifest.failing():
-        drop_past_checkpoint(run, point, events=tree["agent"].get("logger") is not None)
-    dropped = point.dropped(tree["agent"]["max_iterations"])
+        drop_past_checkpoint(run, point, events=agent.logger is not None)
+    dropped = point.dropped(agent.max_iterations)
     _report(display, point, len(dropped), why, [*notes, *thread_notes(threads)])
     recomputed = RecomputedCheck(dropped if exact else {}, manifest, display)
     return Training(recipe, trainer, run, manifest, lock, point.earlier_lines, recomputed)

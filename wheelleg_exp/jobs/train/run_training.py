@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import for_people, while_running, write_bytes, write_text
 from wheelleg_exp.jobs.job_display import Display
@@ -16,6 +15,7 @@ from wheelleg_exp.jobs.train.prepare_training import Training
 from wheelleg_exp.jobs.train.scalar_logs import WandbLog
 from wheelleg_exp.jobs.train.training_outputs import Outputs, checkpoint_due, save_failure, summary
 from wheelleg_exp.rl import export
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.rollout_log import logged
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.iteration_log import seconds_of
@@ -47,7 +47,7 @@ class StuckCurricula:
 
 
 @while_running()
-def run(training: Training, display: Display, stop: StopRequest) -> dict[str, Any]:
+def run(training: Training, display: Display, stop: StopRequest) -> dict[str, object]:
     """Train until the last iteration or a stop request, and return the training's results for the run's manifest.
 
     After a stop request, write the checkpoint of the last finished iteration, and raise KeyboardInterrupt.
@@ -55,8 +55,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
     After a NaN or inf, the run directory contains the bad state and a checkpoint of the last finished iteration.
     """
     trainer, directory = training.trainer, training.directory
-    agent = training.recipe.config["agent"]
-    total, started = int(agent["max_iterations"]), time.perf_counter()
+    agent = training.recipe.experiment.agent
+    total, started = agent.max_iterations, time.perf_counter()
     stuck = StuckCurricula()
     ending = ending_as(SimulationFailure)
     with training.lock, training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
@@ -89,7 +89,7 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, An
 
 def record_untrained(training: Training, display: Display) -> None:
     """Write the files of a run whose networks come from elsewhere: its iteration 0 only records them."""
-    trainer, agent = training.trainer, training.recipe.config["agent"]
+    trainer, agent = training.trainer, training.recipe.experiment.agent
     with training.lock, training.manifest.finishing() as results, _outputs(training, display) as outputs:
         trainer.iteration = 1
         outputs.write(Iteration(0, {}, 0), due=True)
@@ -102,7 +102,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
     # If an iteration fails, save the failed state and the checkpoint of the last finished iteration.
     trainer, failed = training.trainer, Counter[str](results.get("non_finite"))
     try:
-        for iteration in trainer.learn(until=int(training.recipe.config["agent"]["max_iterations"])):
+        for iteration in trainer.learn(until=training.recipe.experiment.agent.max_iterations):
             failed.update(logged(iteration.scalars))
             if failed:
                 results["non_finite"] = dict(failed)
@@ -118,26 +118,27 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
     """Open the run's output files; on exit, record how episodes ended, and warn about unfinished files."""
-    config, directory = training.recipe.config, training.directory
-    documents = {"config": f"```yaml\n{training.recipe.hydra_files['config.yaml']}\n```"}
-    options, logger = RecordingOptions(**config["recording"]), config["agent"].get("logger")
-    wandb = WandbLog(directory, config) if logger == "wandb" else None
-    outputs = Outputs(directory, training.trainer, options, documents, events=logger is not None, wandb=wandb)
-    first: BaseException | None = None
+    recipe, directory, trainer = training.recipe, training.directory, training.trainer
+    documents = {"config": f"```yaml\n{recipe.hydra_files['config.yaml']}\n```"}
+    logger = recipe.experiment.agent.logger
+    wandb = WandbLog(directory, recipe.config) if logger == "wandb" else None
+    options = recipe.experiment.recording
+    outputs = Outputs(directory, trainer, options, documents, events=logger is not None, wandb=wandb)
+    with _recording_end(training, outputs, display), outputs:
+        yield outputs
+
+
+@contextmanager
+def _recording_end(training: Training, outputs: Outputs, display: Display) -> Iterator[None]:
+    """Record how the training ended; if the ``with`` block and the recording fail, raise the error of the block."""
     try:
-        with outputs:
-            try:
-                yield outputs
-            except BaseException as error:
-                first = error
-                raise
+        yield
     except BaseException as error:
-        first = first or error  # Report the training's error instead of a later error from closing files.
         try:
             _record_end(training, outputs, display)
         except Exception as second:
-            first.add_note(f"the end could not be recorded: {second}")
-        raise first from first.__cause__
+            error.add_note(f"the end could not be recorded: {second}")
+        raise
     _record_end(training, outputs, display)
 
 
@@ -167,7 +168,7 @@ def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return facts | summary(earlier[-1]["scalars"]) | ({"non_finite": dict(failed)} if failed else {})
 
 
-def export_policy(directory: RunDirectory, trainer: Trainer, agent: dict[str, Any]) -> None:
+def export_policy(directory: RunDirectory, trainer: Trainer, agent: Learning) -> None:
     """Write ``exported/``: the policy as TorchScript and ONNX, and its description."""
     try:
         with trainer.played() as policy:

@@ -97,7 +97,7 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
 _LOGGER_KEY, _WANDB = "agent.logger", "wandb"
 _WANDB_PROJECT = "wheelleg_exp"
 # ``_WANDB_SETTINGS`` stop wandb from sending host name, program, packages, console output, and source code.
-_WANDB_SETTINGS: dict[str, Any] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
+_WANDB_SETTINGS: dict[str, object] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
 _WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
 _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
 
@@ -116,7 +116,7 @@ class WandbLog:
     a resumed run has the same id as before the resume.
     """
 
-    def __init__(self, directory: RunDirectory, config: Mapping[str, Any]) -> None:
+    def __init__(self, directory: RunDirectory, config: Mapping[str, object]) -> None:
         self._directory, self._config = directory, config
 
     def __enter__(self) -> WandbLog:

@@ -75,7 +75,7 @@ def _config_folders(composed: Composed) -> Iterator[Path]:
             yield root
 
 
-def _packages_called(config: Mapping[str, Any]) -> list[str]:
+def _packages_called(config: Mapping[str, object]) -> list[str]:
     """Return the names of the user's packages that occur in ``_target_`` or ``class_name`` keys of the config."""
     declared = {*installed_packages(), *joined_packages()}
     called = set(_called_names(config))
@@ -135,7 +135,9 @@ def shorten(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def differences_now(run: RunDirectory, threads: Mapping[str, Any], config_dirs: Sequence[Path]) -> list[FactDifference]:
+def differences_now(
+    run: RunDirectory, threads: Mapping[str, object], config_dirs: Sequence[Path]
+) -> list[FactDifference]:
     """Return how this process differs from a run in source, versions, hardware, threads, and environment variables.
 
     Differences in hardware, threads, or environment variables are returned only if they can change training results.

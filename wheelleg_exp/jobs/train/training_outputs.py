@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Mapping
 from contextlib import ExitStack
-from typing import Any
+from types import TracebackType
 
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
@@ -19,6 +19,7 @@ from wheelleg_exp.jobs.rollout_files import close_dataset, write_dataset
 from wheelleg_exp.jobs.train.scalar_logs import WandbLog, event_files, open_events
 from wheelleg_exp.jobs.train.training_recording import Films, TrainingRecording
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.manifest import Manifest
@@ -48,7 +49,7 @@ class Outputs:
         self._tensorboard: SummaryWriter | None = None
         self.recording: TrainingRecording | None = None
         self.films: Films | None = None
-        self._state: dict[str, Any] = {}
+        self._state: dict[str, object] = {}
         self._last: int | None = None
         self.diverged_after: int | None = None
 
@@ -69,12 +70,20 @@ class Outputs:
             self._opened = opened.pop_all()
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
-            if error[0] is None and self._last is not None:
+            if error is None and self._last is not None:
                 close_dataset(self._directory.dataset, self._trainer.env.env, self._last)
         finally:
-            self._opened.__exit__(*error)
+            try:
+                self._opened.__exit__(kind, error, trace)
+            except BaseException as second:
+                if error is None:
+                    raise
+                # Report the training's error instead of a later error from closing files.
+                error.add_note(f"the files could not be closed: {second}")
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
         """Write the scalars of one training iteration and the digests (hashes) of its state; return the digests.
@@ -93,7 +102,7 @@ class Outputs:
         found, equal = digests_of_all(self._trainer.ranks, digested(self._trainer, self._state, due))
         if not equal and self.diverged_after is None:
             self.diverged_after = iteration.index
-        line: dict[str, Any] = {"iteration": iteration.index, "digest_format": digests.FORMAT}
+        line: dict[str, object] = {"iteration": iteration.index, "digest_format": digests.FORMAT}
         line |= {"digests": found, "scalars": iteration.scalars}
         with for_people(self._directory.iterations):
             self._lines.write(json.dumps(json_plain(line), allow_nan=False) + "\n")
@@ -125,12 +134,12 @@ class Outputs:
         return name if (self._directory.path / name).is_file() else self.checkpoint(self._last)
 
 
-def checkpoint_due(iteration: int, agent: Mapping[str, Any]) -> bool:
+def checkpoint_due(iteration: int, agent: Learning) -> bool:
     """Return whether an iteration always has a checkpoint: every ``save_interval`` iterations, and the last one."""
-    return iteration + 1 == int(agent["max_iterations"]) or iteration % int(agent["save_interval"]) == 0
+    return iteration + 1 == agent.max_iterations or iteration % agent.save_interval == 0
 
 
-def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, Any]:
+def digested(trainer: Trainer, state: dict[str, object], due: bool) -> dict[str, object]:
     """Return the part of the training state that is hashed for the run's log."""
     # Hash the whole training state if a checkpoint is due or if the physics engine is bitwise reproducible.
     # If the physics engine is not reproducible, hash only the networks, because no run can reproduce the whole state.
@@ -138,7 +147,7 @@ def digested(trainer: Trainer, state: dict[str, Any], due: bool) -> dict[str, An
     return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
 
 
-def summary(scalars: Mapping[str, Any]) -> dict[str, Any]:
+def summary(scalars: Mapping[str, object]) -> dict[str, object]:
     """Return those final scalars of a training, such as the mean reward, that the run's manifest records."""
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
@@ -149,8 +158,8 @@ def save_failure(
     directory: RunDirectory, manifest: Manifest, error: SimulationFailure, iteration: int, env: ManagerBasedRLEnv
 ) -> None:
     """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
-    entry: dict[str, Any] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
-    names: dict[str, Any] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
+    entry: dict[str, object] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
+    names: dict[str, object] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
     names |= {"reward_terms": env.reward_manager.active_terms, "observations": env.observation_manager.active_terms}
     arrays = {name: value.cpu().numpy() for name, value in error.evidence.items()}
     buffer = io.BytesIO()
