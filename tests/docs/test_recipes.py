@@ -118,7 +118,8 @@ def test_terms_are_reordered(folder):
 
 
 def test_a_stock_file_is_replaced_on_purpose(folder):
-    assert composed(folder=folder / "my_replacements").config["env"]["rewards"]["alive"]["weight"] == 7.0
+    events = composed(folder=folder / "my_replacements").config["env"]["events"]
+    assert events["add_base_mass"]["mass_distribution_params"] == [0.0, 0.1]
 
 
 def test_a_task_changes_its_agent(folder):
