@@ -12,7 +12,7 @@ from wheelleg_exp.asset.conversion_cache import find_extra_files
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.paths import cache_dir, find_asset
-from wheelleg_exp.sim.options import EnvOptions, read_env
+from wheelleg_exp.sim.options import EnvOptions, engine_kind, read_env
 
 
 def prepare_asset(
@@ -38,8 +38,8 @@ def build_env(config: Mapping[str, Any], asset_roots: Sequence[Path] = ()) -> Ma
 
 
 def with_robot_file(env: EnvOptions, asset_roots: Sequence[Path] = ()) -> EnvOptions:
-    """Return the environment's options with the robot file's absolute path, if the engine ``physx`` reads this file."""
-    if env.sim.engine != "physx":
+    """Return the environment's options with the robot file's absolute path, if the engine reads this file."""
+    if not engine_kind(env.sim.engine).reads_robot_file:
         return env
     usd = find_asset(env.robot.asset, asset_roots, key="env.robot.asset").resolve()
     return replace(env, robot=replace(env.robot, asset=str(usd)))

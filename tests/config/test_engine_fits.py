@@ -23,6 +23,10 @@ def _installed(monkeypatch):
     [
         *((words, None) for words in ([], [PHYSX], [WARP], [WARP, "env.sim.device=cuda:1"])),
         ([WARP, "env.sim.solver=cg"], None),
+        ([f"env.sim.engine={{_target_: {options.ENGINES['mujoco'].target}}}"], None),
+        ([f"env.sim.engine={{_target_: {options.ENGINES['mujoco'].target}}}", "env.sim.device=cuda:0"],
+         f"env.sim.device: the engine '{options.ENGINES['mujoco'].target}' runs on the CPU, not on 'cuda:0'"),
+        (["env.sim.engine=wrap"], "env.sim.engine: 'wrap' is not known"),
         (["env.sim.device=cuda:0"], "env.sim.device: the engine 'mujoco' runs on the CPU, not on 'cuda:0'"),
         ([PHYSX, "env.sim.device=cuda:0"], "env.sim.device: the engine 'physx' runs on the CPU, not on 'cuda:0'"),
         ([PHYSX, "env.sim.deterministic=true"], "env.sim.deterministic: the engine 'physx' does not continue a"),

@@ -7,6 +7,7 @@ import torch
 from sim.small_envs import run
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.actuators import IdealPDActuator
+from wheelleg_exp.sim.batch_engine import BatchEngine
 from wheelleg_exp.sim.sensors import LazySensor, PatternBase, SensorBase
 from wheelleg_exp.sim.terrain import TerrainBase
 
@@ -27,6 +28,18 @@ RaisesInRays = type("RaisesInRays", (PatternBase,), {"rays": fails})
 RaisesInAddTo = type("RaisesInAddTo", (TerrainBase,), {"add_to": fails})
 RaisesInControl = type("RaisesInControl", (IdealPDActuator,), {"control": fails})
 RaisesInReset = type("RaisesInReset", (IdealPDActuator,), {"reset": fails})
+
+
+class Fast(BatchEngine):
+    @classmethod
+    def from_config(cls, model, num_envs, sim, robot, /, *, times):
+        made = super().from_config(model, num_envs, sim, robot)
+        made.times = times
+        return made
+
+    def step(self):
+        for _ in range(self.times):
+            super().step()
 
 
 class NoMeasure(SensorBase):
@@ -140,3 +153,15 @@ def test_an_error_in_a_lazy_sensor_names_the_sensor(make_env):
     env = make_env(scene={"sensors": {"mine": {"_target_": HERE + "RaisesWhenRead"}}})
     with pytest.raises(SimulationFailure, match=f"{SENSOR}: '{HERE}RaisesWhenRead.*RuntimeError: no signal"):
         env.scene["mine"].data  # noqa: B018
+
+
+def test_an_engine_is_chosen_by_its_class_and_takes_the_keys_of_its_node(make_env):
+    own = make_env(sim={"engine": {"_target_": HERE + "Fast", "times": 2}}).scene.sim
+    stock = make_env().scene.sim
+    own.step()
+    stock.step()
+    assert not torch.equal(own.view("qpos"), stock.view("qpos"))
+    stock.step()
+    assert torch.equal(own.view("qpos"), stock.view("qpos"))
+    with pytest.raises(ConfigError, match="'NoMeasure' is not an Engine"):
+        make_env(sim={"engine": {"_target_": HERE + "NoMeasure"}})

@@ -35,7 +35,7 @@ from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.sim.options import engine_kind, read_env
 from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.user_exceptions import ending_as
 
@@ -78,7 +78,7 @@ def evaluation_settings(
         config = read_section(EvaluateRoot, tree, "")
         require_read(recorded, others, lambda changed: _settings_read(changed, config.protocol), _ALTERNATIVES)
         config = replace(config, env=with_robot_file(config.env, composed.asset_roots))
-        if config.env.sim.engine == "physx":
+        if engine_kind(config.env.sim.engine).reads_robot_file:
             saved, present = saved_sources(run), source_digest(Path(config.env.robot.asset))
             if changed := [name for name, digest in present.items() if saved.get(name) != digest]:
                 message = f"{changed[0]} differs from the file that the run was trained with"

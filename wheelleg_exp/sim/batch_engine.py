@@ -15,6 +15,7 @@ from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.machine import usable_cores
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import not_finite
+from wheelleg_exp.sim.options import RobotOptions, SimOptions
 from wheelleg_exp.sim.static_rays import StaticGeoms
 from wheelleg_exp.state import cloned
 
@@ -32,6 +33,12 @@ class BatchEngine(Engine):
 
     name = "mujoco"
     exact = True
+
+    @classmethod
+    def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
+        """Start N simulations of a model."""
+        del robot
+        return cls(model, num_envs, sim.nthread)
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int) -> None:
         # Stop MuJoCo from writing the log file MUJOCO_LOG.TXT into the current folder.

@@ -9,7 +9,10 @@ from typing import Any, ClassVar
 import mujoco
 import torch
 
+from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.options import RobotOptions, SimOptions, engine_kind
 from wheelleg_exp.state import Stateful
+from wheelleg_exp.terms.term_binding import TARGET, resolve_target
 
 WRENCHES = "wrenches"
 
@@ -44,6 +47,11 @@ class Engine(Stateful, ABC):
     nthread: int
     expanded: dict[str, torch.Tensor]
     asked: set[str]
+
+    @classmethod
+    @abstractmethod
+    def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
+        """Start N simulations of a model. Other parameters are keys of the node ``env.sim.engine``."""
 
     def constant(self, name: str) -> torch.Tensor:
         """Return a copy of a field of the compiled model on the engine's device; float fields are cast to ``dtype``."""
@@ -153,3 +161,16 @@ class Engine(Stateful, ABC):
     @abstractmethod
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore what ``state_dict`` returned."""
+
+
+def start_engine(model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions) -> Engine:
+    """Start the engine that ``env.sim.engine`` selects.
+
+    Its module is imported only now, because it can import large optional packages.
+    """
+    key, arguments = "env.sim.engine", {} if isinstance(sim.engine, str) else {**sim.engine}
+    arguments.pop(TARGET, None)
+    kind: Any = resolve_target(engine_kind(sim.engine).target, key)
+    if not (isinstance(kind, type) and issubclass(kind, Engine)):
+        raise ConfigError(f"'{kind.__name__}' is not an Engine", key=key, expected="a _target_ of Engine")
+    return kind.from_config(model, num_envs, sim, robot, **arguments)

@@ -15,36 +15,82 @@ from typing import Annotated, Any, Literal
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAllZero, Positive, Terms, relation
 from wheelleg_exp.terms.config_sections import Dataset, ObservationGroup, Realism, read_section
-from wheelleg_exp.terms.term_binding import drop_removed
+from wheelleg_exp.terms.term_binding import TARGET, drop_removed
+
+
+@dataclass(frozen=True)
+class EngineKind:
+    """A class of engines, and what it supports and needs.
+
+    Attributes:
+        target: path of the class, a subclass of ``wheelleg_exp.sim.engine.Engine``.
+        devices: regular expression of the devices on which it runs.
+        exact_devices: regular expression of the devices on which it is bit-reproducible.
+        inexact: why it is not bit-reproducible on other devices, as the end of a sentence.
+        packages: Python packages that it imports.
+        install: the command that installs ``packages``.
+        solvers: the constraint solvers that it has.
+        reads_robot_file: whether it reads the robot's file, and not only the compiled model.
+    """
+
+    target: str
+    devices: str = "cpu"
+    exact_devices: str = "cpu"
+    inexact: str = ""
+    packages: tuple[str, ...] = ()
+    install: str = ""
+    solvers: tuple[str, ...] = ("pgs", "cg", "newton")
+    reads_robot_file: bool = False
+
+
+ENGINES = {
+    "mujoco": EngineKind("wheelleg_exp.sim.batch_engine.BatchEngine"),
+    "warp": EngineKind(
+        "wheelleg_exp.sim.warp_engine.WarpEngine",
+        devices=r"cpu|cuda(:\d+)?",
+        inexact="is not bit-reproducible on a GPU, even with mujoco-warp's own opt.deterministic",
+        packages=("warp", "mujoco_warp"),
+        install="pip install 'wheelleg_exp[gpu]'",
+        solvers=("newton", "cg"),
+    ),
+    "physx": EngineKind(
+        "wheelleg_exp.sim.physx.physx_engine.PhysxEngine",
+        exact_devices="",
+        inexact="does not continue a restored state identically",
+        packages=("ovphysx", "physx_usd_schemas"),
+        install="pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows",
+        reads_robot_file=True,
+    ),
+}
+
+
+def engine_kind(engine: str | Node) -> EngineKind:
+    """Return the kind of engine that ``env.sim.engine`` names, or selects by a ``_target_``."""
+    if isinstance(engine, str):
+        return ENGINES[engine]
+    target = str(engine[TARGET])
+    own = EngineKind(target, devices=".*", exact_devices=".*", reads_robot_file=True)
+    return next((kind for kind in ENGINES.values() if kind.target == target), own)
 
 
 def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
     """Check that the physics engine supports the device and the solver, and that the packages of the engine exist."""
-    device = given["device"]
-    if given["engine"] != "warp":
-        if device != "cpu":
-            message = f"the engine '{given['engine']}' runs on the CPU, not on {device!r}"
-            yield Broken("device", message, "cpu, or engine: warp")
-        needed = ("ovphysx", "physx_usd_schemas") if given["engine"] == "physx" else ()
-        if missing := [name for name in needed if find_spec(name) is None]:
-            message = f"the engine 'physx' needs the package {missing[0]}, which is not installed"
-            yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[physx]', on x86-64 Linux or Windows")
-        if given["engine"] == "physx" and given.get("deterministic"):
-            message = "the engine 'physx' does not continue a restored state identically"
-            yield Broken("deterministic", message, "false, or engine: mujoco, which is bit-reproducible")
-        return
-    if not re.fullmatch(r"cpu|cuda(:\d+)?", str(device)):
-        yield Broken("device", f"{device!r} is not a device of the engine 'warp'", "cpu, or cuda:0 and so on")
-    if given.get("deterministic") and device != "cpu":
-        message = "the engine 'warp' is not bit-reproducible on a GPU, even with mujoco-warp's own opt.deterministic"
-        yield Broken("deterministic", message, "false, or engine: mujoco, which is bit-reproducible (docs/gpu.md)")
-    if given["solver"] == "pgs":
-        yield Broken("solver", "the engine 'warp' has no solver 'pgs'", "newton or cg")
-    for name in ("warp", "mujoco_warp"):
-        if find_spec(name) is None:
-            message = f"the engine 'warp' needs the package {name}, which is not installed"
-            yield Broken("engine", message, "mujoco, or: pip install 'wheelleg_exp[gpu]'")
-            return
+    device, kind = str(given["device"]), engine_kind(given["engine"])
+    name = given["engine"] if isinstance(given["engine"], str) else kind.target
+    if not re.fullmatch(kind.devices, device):
+        if kind.devices == "cpu":
+            yield Broken("device", f"the engine '{name}' runs on the CPU, not on {device!r}", "cpu, or engine: warp")
+        else:
+            yield Broken("device", f"{device!r} is not a device of the engine '{name}'", "cpu, or cuda:0 and so on")
+    if given.get("deterministic") and not re.fullmatch(kind.exact_devices, device):
+        expected = "false, or engine: mujoco, which is bit-reproducible (docs/reproducibility.md)"
+        yield Broken("deterministic", f"the engine '{name}' {kind.inexact}", expected)
+    if given["solver"] not in kind.solvers:
+        message = f"the engine '{name}' has no solver '{given['solver']}'"
+        yield Broken("solver", message, " or ".join(kind.solvers))
+    if missing := [package for package in kind.packages if find_spec(package) is None]:
+        message = f"the engine '{name}' needs the package {missing[0]}, which is not installed"
+        yield Broken("engine", message, f"mujoco, or: {kind.install}")
 
 
 @relation(engine_fits)
@@ -54,7 +100,8 @@ class SimOptions:
 
     Attributes:
         engine: The engine ``mujoco`` simulates bit-reproducibly on the CPU; ``warp`` is mujoco-warp, in single
-            precision, usually on a GPU; ``physx`` is NVIDIA PhysX on the CPU, to evaluate policies (docs/engines.md).
+            precision, usually on a GPU; ``physx`` is NVIDIA PhysX on the CPU, to evaluate policies (docs/engines.md). A
+            node with a ``_target_`` selects another subclass of ``wheelleg_exp.sim.engine.Engine``.
         device: device of the engine's tensors, ``cpu``, or for the engine ``warp`` also ``cuda:0`` and so on.
         dt: physics time step, s.
         gravity: world gravity, m/s^2.
@@ -76,7 +123,7 @@ class SimOptions:
         deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU, and ``physx``.
     """
 
-    engine: Literal["mujoco", "warp", "physx"]
+    engine: Literal["mujoco", "warp", "physx"] | Node
     device: str
     dt: constraints.Positive
     gravity: Annotated[Sequence[float], Length(3)]

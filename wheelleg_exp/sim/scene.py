@@ -15,10 +15,8 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.paths import find_asset
 from wheelleg_exp.sim.actuators import ActuatorBase
-from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.sim.engine import WRENCHES, Engine
+from wheelleg_exp.sim.engine import WRENCHES, start_engine
 from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
 from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
 from wheelleg_exp.sim.robot_model import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
@@ -97,19 +95,7 @@ class Scene(Stateful):
         """Compile the spec, start the simulations, and put the robot into its default state."""
         self.model = self.spec.compile()
         self._compiled = _checksums(self.model)
-        options = self._sim_options
-        if options.engine == "warp":
-            # Import the Warp engine only when a config selects it, because its module imports large optional packages.
-            from wheelleg_exp.sim.warp_engine import WarpEngine
-
-            self.sim: Engine = WarpEngine(self.model, self.num_envs, options)
-        elif options.engine == "physx":
-            from wheelleg_exp.sim.physx.physx_engine import PhysxEngine
-
-            usd = find_asset(self.robot.options.asset, key="env.robot.asset").resolve()
-            self.sim = PhysxEngine(self.model, self.num_envs, options.nthread, usd, self.robot.options)
-        else:
-            self.sim = BatchEngine(self.model, self.num_envs, options.nthread)
+        self.sim = start_engine(self.model, self.num_envs, self._sim_options, self.robot.options)
         self.child("sim", self.sim, saved=False)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
         unstable = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)

@@ -12,7 +12,7 @@ import torch
 
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
-from wheelleg_exp.sim.options import SimOptions
+from wheelleg_exp.sim.options import RobotOptions, SimOptions
 from wheelleg_exp.sim.warp_fields import CONSTANTS, DERIVED, DataFields, ModelFields
 from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
 
@@ -94,6 +94,12 @@ class WarpEngine(Engine):
     """
 
     name = "warp"
+
+    @classmethod
+    def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
+        """Start N simulations of a model."""
+        del robot
+        return cls(model, num_envs, sim)
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, options: SimOptions) -> None:
         self.model = model

@@ -160,8 +160,8 @@ def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tu
 
 
 def _wrong_type(value: Any, annotation: Any) -> Misfit:
-    is_choice = typing.get_origin(annotation) is typing.Literal
-    words = [str(option) for option in typing.get_args(annotation)] if is_choice else []
+    choices = (option for option in options_in(annotation) if typing.get_origin(option) is typing.Literal)
+    words = [str(word) for choice in choices for word in typing.get_args(choice)]
     nearest = nearest_name(str(value), words)
     what = "is not known" if words and isinstance(value, str) else "is not of the right type"
     return Misfit(f"{value!r} {what}", describe(annotation), nearest=nearest, is_type=True)

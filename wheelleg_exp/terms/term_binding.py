@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from wheelleg_exp import packages
 from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty, Ordered
@@ -270,8 +270,11 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     """Return the function or class that defines which parameters a term's config can set.
 
     For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or the class of ``cfg`` if
-    ``__call__`` is missing. Any other function or class defines its parameters itself.
+    ``__call__`` is missing. A class with a method ``from_config`` is made by this method. Any other function or class
+    defines its parameters itself.
     """
+    if hasattr(target, "from_config"):
+        return cast(Callable[..., Any], target.from_config)
     if not takes_cfg(target):
         return target
     if inspect.isclass(target) and any("__call__" in vars(kind) for kind in target.__mro__[:-1]):
@@ -302,7 +305,7 @@ def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
 
 
 def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    """Return the parameters of ``target`` that a config can set."""
+    """Return the parameters of ``target`` that a config can set; the program passes positional-only parameters."""
     parameters = inspect.signature(read_from(target)).parameters.values()
-    open_ended = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    return {p.name: p for p in parameters if p.name not in ("self", *INJECTED) and p.kind not in open_ended}
+    settable = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return {p.name: p for p in parameters if p.name not in ("self", *INJECTED) and p.kind in settable}

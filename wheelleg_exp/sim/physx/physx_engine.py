@@ -21,9 +21,11 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError, SimulationFailure, nearest_name
+from wheelleg_exp.paths import find_asset
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.sim.options import RobotOptions
+from wheelleg_exp.sim.engine import Engine
+from wheelleg_exp.sim.options import RobotOptions, SimOptions
 from wheelleg_exp.sim.physx.physx_stage import GROUND_PATH, ROBOTS, links_of, open_scene, write_scene
 from wheelleg_exp.sim.terrain import grid_origins, is_ground
 
@@ -49,6 +51,12 @@ class PhysxEngine(BatchEngine):
 
     name = "physx"
     exact = False
+
+    @classmethod
+    def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
+        """Start N simulations of a model, and of the robot in its USD file."""
+        usd = find_asset(robot.asset, key="env.robot.asset").resolve()
+        return cls(model, num_envs, sim.nthread, usd, robot)
 
     def __init__(self, model: mujoco.MjModel, num_envs: int, nthread: int, usd: Path, robot: RobotOptions) -> None:
         self._sensordata = torch.zeros(num_envs, model.nsensordata, dtype=torch.float64)
