@@ -22,7 +22,8 @@ def fill_the_sorts(wp: ModuleType) -> None:
     from mujoco_warp._src import collision_driver, constraint
 
     def tensor(array: Any) -> torch.Tensor:
-        return wp.to_torch(array)
+        view: torch.Tensor = wp.to_torch(array)
+        return view
 
     def sort_contacts(model: Any, data: Any) -> None:
         del model

@@ -141,7 +141,7 @@ def profile(env: ManagerBasedRLEnv) -> dict[str, Any]:
         for index in range(count):
             env.step(todo[index])
         now(env.device)
-    on_device = [e for e in seen.events() if e.device_type == torch.autograd.DeviceType.CUDA]
+    on_device = [e for e in seen.events() if e.device_type == torch.profiler.DeviceType.CUDA]
     copies = [e for e in on_device if "memcpy" in e.name.lower()]
     waits: list[str] = []
     if env.device.type == "cuda":

@@ -131,7 +131,7 @@ def _allocated() -> float | None:
         return None
     ask.restype = _Mallinfo
     found = ask()
-    return round((found.uordblks + found.hblkhd) / 1e6, 1)
+    return round(float(found.uordblks + found.hblkhd) / 1e6, 1)
 
 
 def objects() -> Counter[str]:

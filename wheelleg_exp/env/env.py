@@ -16,7 +16,7 @@ from wheelleg_exp.env.realism import with_realism, without_errors
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.async_queries import AsyncMaskQuery
 from wheelleg_exp.managers.non_finite import failures, note_observations, require_finite_observations
-from wheelleg_exp.managers.observation_manager import Group
+from wheelleg_exp.managers.observation_term import Group
 from wheelleg_exp.managers.streams import Streams
 from wheelleg_exp.sim.ids import ids_where
 from wheelleg_exp.sim.options import EnvOptions, read_env
@@ -232,7 +232,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         """Return a mask (N,) of environments that this step only resets; None unless ``autoreset`` is ``next_step``."""
         if self.autoreset != "next_step":
             return None
-        return self.termination_manager.dones & (self.episode_length_buf > 0)
+        found: torch.Tensor | None = self.termination_manager.dones & (self.episode_length_buf > 0)
+        return found
 
     @captured_part()
     def _act(self, action: torch.Tensor) -> None:
@@ -341,7 +342,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     @captured_part(to_caller=True)
     def _observe(self) -> Observations:
-        observations = self.observation_manager.compute()
+        observations: Observations = self.observation_manager.compute()
         if self.autoreset == "same_step":
             note_observations(self)
         return observations

@@ -273,7 +273,7 @@ class TouchedMemory(TorchDispatchMode):
     """Records the memory addresses of all tensors that torch operations read or write."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self._memory = set[int]()
 
     def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
@@ -84,7 +84,8 @@ class Simulation:
     @property
     def cfg(self) -> Cfg:
         """The ``env.sim`` section of the config."""
-        return self._env.cfg.sim
+        found: Cfg = self._env.cfg.sim
+        return found
 
     @property
     def device(self) -> torch.device:
@@ -126,7 +127,7 @@ class IsaacLabAttributes(Stateful):
     @property
     def sim(self) -> Simulation:
         """The simulation object that manager terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
-        return Simulation(self)  # type: ignore[arg-type]
+        return Simulation(cast("Env", self))
 
     @property
     def num_actions(self) -> int:
@@ -141,17 +142,20 @@ class IsaacLabAttributes(Stateful):
     @property
     def reset_buf(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode ended in the last control step."""
-        return self.termination_manager.dones
+        found: torch.Tensor = self.termination_manager.dones
+        return found
 
     @property
     def reset_terminated(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode failed in the last control step."""
-        return self.termination_manager.terminated
+        found: torch.Tensor = self.termination_manager.terminated
+        return found
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode reached its time limit in the last control step."""
-        return self.termination_manager.time_outs
+        found: torch.Tensor = self.termination_manager.time_outs
+        return found
 
     @property
     def _sim_step_counter(self) -> int:

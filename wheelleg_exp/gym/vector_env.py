@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -18,7 +18,12 @@ from wheelleg_exp.gym import task_env
 from wheelleg_exp.gym.task_env import RENDER_MODES, Arrays, action_space, as_arrays, observation_space
 from wheelleg_exp.state import host_copy
 
-_MODES = {name: AutoresetMode[name.upper()] for name in ("same_step", "next_step", "disabled")}
+_NAMES: dict[AutoresetMode, Literal["same_step", "next_step", "disabled"]] = {
+    AutoresetMode.SAME_STEP: "same_step",
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.DISABLED: "disabled",
+}
+_MODES: dict[str, AutoresetMode] = {name: mode for mode, name in _NAMES.items()}
 
 
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
@@ -60,7 +65,7 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     ) -> None:
         self.autoreset_mode = _autoreset(autoreset_mode)  # TorchRL reads this attribute
         self.env = task_env.task_env(task, num_envs, overrides, config_dirs)
-        self.env.autoreset = self.autoreset_mode.name.lower()  # type: ignore[assignment]
+        self.env.autoreset = _NAMES[self.autoreset_mode]
         self.env.keep_final_obs = self.autoreset_mode is AutoresetMode.SAME_STEP
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.env)

@@ -14,10 +14,10 @@ from wheelleg_exp.evaluation.method_comparison import (
     engine_verdict,
     judged_metrics,
     over_seeds,
-    plain,
     push_verdict,
     verdict,
 )
+from wheelleg_exp.evaluation.result import plain
 from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs.evaluate_policy import Evaluated
 from wheelleg_exp.jobs.rollout_files import dated_folder

@@ -186,7 +186,7 @@ class ObservationTerm(Stateful):
     def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
         path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
         try:
-            value = part(*args)
+            value: torch.Tensor = part(*args)
         except BaseException as error:
             raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
         require_form(self._part_forms[name], value, f"'{target}'", path, part)

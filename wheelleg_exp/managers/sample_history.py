@@ -100,7 +100,8 @@ class RowHistoryPart(Stateful):
     @property
     def samples(self) -> torch.Tensor:
         """The last H samples of one observation term, oldest first, (N, H, width)."""
-        return self._row.values[:, self._span].unflatten(1, (-1, self._width))
+        found: torch.Tensor = self._row.values[:, self._span].unflatten(1, (-1, self._width))
+        return found
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         return {"samples": self.samples.contiguous().clone()}

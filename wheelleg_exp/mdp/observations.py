@@ -21,32 +21,32 @@ _ROBOT = SceneEntityCfg("robot")
 
 def base_pos_z(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Height of the root link in the world frame, m; the height of the environment's origin is not subtracted."""
-    return env.scene[asset_cfg.name].data.root_pos_w[:, 2:3]
+    return env.scene.articulations[asset_cfg.name].data.root_pos_w[:, 2:3]
 
 
 def base_height(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Height of the root link above the ground, m."""
-    return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w).unsqueeze(1)
+    return height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w).unsqueeze(1)
 
 
 def base_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Velocity of the root body's centre of mass in the axes of the root link, m/s."""
-    return env.scene[asset_cfg.name].data.root_lin_vel_b
+    return env.scene.articulations[asset_cfg.name].data.root_lin_vel_b
 
 
 def base_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Angular velocity of the root link in the axes of the root link, rad/s, as the robot's IMU measures it."""
-    return env.scene[asset_cfg.name].data.root_ang_vel_measured
+    return env.scene.articulations[asset_cfg.name].data.root_ang_vel_measured
 
 
 def root_link_lin_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Velocity of the root link's origin in the axes of the root link, m/s."""
-    return env.scene[asset_cfg.name].data.root_link_lin_vel_b
+    return env.scene.articulations[asset_cfg.name].data.root_link_lin_vel_b
 
 
 def projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Unit vector of gravity in the axes of the root link, as the robot's IMU measures it; upright: (0, 0, -1)."""
-    return env.scene[asset_cfg.name].data.projected_gravity_measured
+    return env.scene.articulations[asset_cfg.name].data.projected_gravity_measured
 
 
 def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -56,28 +56,28 @@ def base_roll_pitch(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tenso
 
 def root_pos_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Position of the root link relative to the environment's origin, m."""
-    return env.scene[asset_cfg.name].data.root_pos_w - env.scene.env_origins
+    return env.scene.articulations[asset_cfg.name].data.root_pos_w - env.scene.env_origins
 
 
 def root_quat_w(env: Env, make_quat_unique: bool = False, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Orientation of the root link (w, x, y, z); with ``make_quat_unique``, w is not negative."""
-    quat = env.scene[asset_cfg.name].data.root_quat_w
+    quat = env.scene.articulations[asset_cfg.name].data.root_quat_w
     return torch.where(quat[:, 0:1] < 0, -quat, quat) if make_quat_unique else quat
 
 
 def root_lin_vel_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Velocity of the root body's centre of mass in world axes, m/s."""
-    return env.scene[asset_cfg.name].data.root_lin_vel_w
+    return env.scene.articulations[asset_cfg.name].data.root_lin_vel_w
 
 
 def root_ang_vel_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Angular velocity of the root link in world axes, rad/s."""
-    return env.scene[asset_cfg.name].data.root_ang_vel_w
+    return env.scene.articulations[asset_cfg.name].data.root_ang_vel_w
 
 
 def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
     """Joint positions, rad, as the encoders read them, or the true positions with ``measured: false``."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     return picked(data.joint_pos_measured if measured else data.joint_pos, asset_cfg.joint_ids)
 
 
@@ -86,7 +86,7 @@ def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool =
 
     The joint angle of a rolling wheel can become arbitrarily large.
     """
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
 
 
@@ -98,7 +98,7 @@ class joint_pos_limit_normalized(TermBase):
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
-        self._data, self._ids = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+        self._data, self._ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.joint_ids
         if not picked(self._data.soft_joint_pos_limits, asset_cfg.joint_ids).isfinite().all():
             message = "the position of a joint without limits cannot be normalised"
             raise ConfigError(message, key="asset_cfg.joint_names", expected="limited joints")
@@ -117,23 +117,23 @@ def joint_pos_sin_cos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Ten
 
 def joint_vel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Joint velocities, rad/s."""
-    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids)
+    return picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids)
 
 
 def joint_vel_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Joint velocities minus the default joint velocities, rad/s."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     return picked(data.joint_vel, asset_cfg.joint_ids) - picked(data.default_joint_vel, asset_cfg.joint_ids)
 
 
 def joint_acc(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Accelerations of the joints over the last physics step, rad/s^2; 0 right after a reset. Not in Isaac Lab."""
-    return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids)
+    return picked(env.scene.articulations[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids)
 
 
 def joint_effort_commanded(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Clipped torque of each joint's drive at the start of the last physics step, N·m; 0 right after a reset."""
-    return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids)
+    return picked(env.scene.articulations[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids)
 
 
 joint_effort = joint_effort_commanded
@@ -141,14 +141,14 @@ joint_effort = joint_effort_commanded
 
 def body_pose_w(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Poses of the links, body by body: position from the environment's origin, m, and (w, x, y, z), (N, 7 B)."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     position = picked(data.body_pos_w, asset_cfg.body_ids) - env.scene.env_origins.unsqueeze(1)
     return torch.cat((position, picked(data.body_quat_w, asset_cfg.body_ids)), dim=2).flatten(1)
 
 
 def body_projected_gravity_b(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Unit vector of gravity in the axes of each of B links, (N, 3 B)."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     gravity = rotation.rotate(data.root_rot_w, data.projected_gravity_b)
     turned = torch.matmul(gravity.view(-1, 1, 1, 3), picked(data.body_rot_w, asset_cfg.body_ids))
     return turned.flatten(1)
@@ -164,27 +164,32 @@ def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> to
     A ray that hits nothing gives minus infinity, so this observation term needs a ``clip``.
     """
     data = env.scene[sensor_cfg.name].data
-    return data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
+    found: torch.Tensor = data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
+    return found
 
 
 def imu_orientation(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
     """Orientation of an IMU in the world (w, x, y, z)."""
-    return env.scene[asset_cfg.name].data.quat_w
+    found: torch.Tensor = env.scene[asset_cfg.name].data.quat_w
+    return found
 
 
 def imu_projected_gravity(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
     """Return the unit vector of gravity in the axes of an IMU, which is (0, 0, -1) for an upright IMU."""
-    return env.scene[asset_cfg.name].data.projected_gravity_b
+    found: torch.Tensor = env.scene[asset_cfg.name].data.projected_gravity_b
+    return found
 
 
 def imu_ang_vel(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
     """Angular velocity that an IMU measures in its own axes, rad/s."""
-    return env.scene[asset_cfg.name].data.ang_vel_b
+    found: torch.Tensor = env.scene[asset_cfg.name].data.ang_vel_b
+    return found
 
 
 def imu_lin_acc(env: Env, asset_cfg: SceneEntityCfg = _IMU) -> torch.Tensor:
     """Linear acceleration that an IMU measures in its own axes, m/s^2."""
-    return env.scene[asset_cfg.name].data.lin_acc_b
+    found: torch.Tensor = env.scene[asset_cfg.name].data.lin_acc_b
+    return found
 
 
 def body_contacts(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
@@ -224,7 +229,7 @@ def image(
         known, nearest = "one of " + ", ".join(data.output), nearest_name(data_type, data.output)
         message = f"the sensor '{sensor_cfg.name}' has no images of the type '{data_type}'"
         raise ConfigError(message, key="data_type", expected=known, nearest=nearest)
-    picture = data.output[data_type].float()
+    picture: torch.Tensor = data.output[data_type].float()
     if data_type == "distance_to_camera" and convert_perspective_to_orthogonal:
         picture = picture * _cosines(data.intrinsic_matrices, picture)
     if not normalize:

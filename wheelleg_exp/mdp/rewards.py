@@ -50,17 +50,17 @@ _ROBOT = SceneEntityCfg("robot")
 
 def lin_vel_z_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Squared velocity of the root's centre of mass along the z axis of the root link, (m/s)^2."""
-    return env.scene[asset_cfg.name].data.root_lin_vel_b[:, 2].square()
+    return env.scene.articulations[asset_cfg.name].data.root_lin_vel_b[:, 2].square()
 
 
 def ang_vel_xy_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """w_x^2 + w_y^2 of the root in link axes, (rad/s)^2."""
-    return env.scene[asset_cfg.name].data.root_ang_vel_b[:, :2].square().sum(dim=1)
+    return env.scene.articulations[asset_cfg.name].data.root_ang_vel_b[:, :2].square().sum(dim=1)
 
 
 def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """g_x^2 + g_y^2 of the projected gravity: sin^2 of the tilt."""
-    return env.scene[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1)
+    return env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, :2].square().sum(dim=1)
 
 
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -77,12 +77,12 @@ def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _R
 
 def pitch_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """g_x^2 of the projected gravity: sin^2 of the pitch. Not in Isaac Lab."""
-    return env.scene[asset_cfg.name].data.projected_gravity_b[:, 0].square()
+    return env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 0].square()
 
 
 def upward(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """(1 - g_z)^2 of the projected gravity: 4 upright, 1 lying, 0 upside down. Not in Isaac Lab."""
-    return (1.0 - env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]).square()
+    return (1.0 - env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2]).square()
 
 
 def base_height_l2(
@@ -93,7 +93,7 @@ def base_height_l2(
     With a ray caster, the target height of the base is relative to the mean height of the ray hits. As in Isaac Lab,
     the reward value is infinite if a ray of the ray caster has no hit. ``base_height_over_ground_l2`` needs no sensor.
     """
-    height = env.scene[asset_cfg.name].data.root_pos_w[:, 2]
+    height = env.scene.articulations[asset_cfg.name].data.root_pos_w[:, 2]
     if sensor_cfg is not None:
         height = height - env.scene[sensor_cfg.name].data.ray_hits_w[..., 2].mean(dim=1)
     return (height - target_height).square()
@@ -101,7 +101,7 @@ def base_height_l2(
 
 def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """(h - target)^2 of the root link's height h above the ground straight below, m^2. Not in Isaac Lab."""
-    height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
+    height = height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w)
     return (height - target_height).square()
 
 
@@ -114,7 +114,7 @@ def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: Sc
         target_height: m.
         std: error at which 1/e of the reward remains, m.
     """
-    height = height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)
+    height = height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w)
     return torch.exp(-((height - target_height) / std).square())
 
 
@@ -127,7 +127,7 @@ def standing_exp(
     reward for the height and one for the tilt, the product pays only a robot that stands.
     """
     height = base_height_exp(env, target_height, height_std, asset_cfg)
-    upright = env.scene[asset_cfg.name].data.projected_gravity_b[:, 2] < 0.0
+    upright = env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2] < 0.0
     return height * flat_orientation_exp(env, tilt_std, asset_cfg) * upright
 
 
@@ -136,8 +136,9 @@ def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch
 
     In Isaac Lab, ``body_lin_acc_norm_sum`` is called ``body_lin_acc_l2``, although the norms are not squared.
     """
-    acceleration = picked(env.scene[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
-    return torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
+    acceleration = picked(env.scene.articulations[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
+    found: torch.Tensor = torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
+    return found
 
 
 body_lin_acc_l2 = body_lin_acc_norm_sum
@@ -148,14 +149,14 @@ def track_lin_vel_xy_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in link axes."""
     command = env.command_manager.get_command(command_name)[:, :2]
-    error = (command - env.scene[asset_cfg.name].data.root_lin_vel_b[:, :2]).square().sum(dim=1)
+    error = (command - env.scene.articulations[asset_cfg.name].data.root_lin_vel_b[:, :2]).square().sum(dim=1)
     return torch.exp(-error / std**2)
 
 
 def track_ang_vel_z_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(w_z command - w_z)^2 / std^2), angular velocity in link axes."""
     command = env.command_manager.get_command(command_name)[:, 2]
-    error = (command - env.scene[asset_cfg.name].data.root_ang_vel_b[:, 2]).square()
+    error = (command - env.scene.articulations[asset_cfg.name].data.root_ang_vel_b[:, 2]).square()
     return torch.exp(-error / std**2)
 
 
@@ -168,7 +169,7 @@ def track_lin_vel_xy_yaw_frame_exp(
     speed.
     """
     command = env.command_manager.get_command(command_name)
-    forwards, sideways = level_velocity(env.scene[asset_cfg.name].data)
+    forwards, sideways = level_velocity(env.scene.articulations[asset_cfg.name].data)
     error = (command[:, 0] - forwards).square() + (command[:, 1] - sideways).square()
     return torch.exp(-error / std**2)
 
@@ -178,7 +179,7 @@ def track_ang_vel_z_world_exp(
 ) -> torch.Tensor:
     """exp(-(w_z command - w_z)^2 / std^2), angular velocity about the world's vertical."""
     command = env.command_manager.get_command(command_name)[:, 2]
-    error = (command - env.scene[asset_cfg.name].data.root_ang_vel_w[:, 2]).square()
+    error = (command - env.scene.articulations[asset_cfg.name].data.root_ang_vel_w[:, 2]).square()
     return torch.exp(-error / std**2)
 
 
@@ -190,7 +191,7 @@ def track_base_height_exp(
     The first component of the command ``command_name`` must be the base's height, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
-    error = (command - height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w)).square()
+    error = (command - height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w)).square()
     return torch.exp(-error / std**2)
 
 
@@ -241,7 +242,8 @@ class jump_apex(jump_clearance):
         data = env.scene[self._entity.name].data
         gravity = math.hypot(*env.scene.model.opt.gravity)
         rise = data.root_lin_vel_w[:, 2].clamp(min=0.0).square() / (2.0 * gravity)
-        return height_over_ground(env, data.root_pos_w) + rise
+        found: torch.Tensor = height_over_ground(env, data.root_pos_w) + rise
+        return found
 
 
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
@@ -250,7 +252,7 @@ def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: S
     The command ``command_name`` must consist of the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
-    roll, pitch = roll_pitch(env.scene[asset_cfg.name].data.projected_gravity_b)
+    roll, pitch = roll_pitch(env.scene.articulations[asset_cfg.name].data.projected_gravity_b)
     error = (command[:, 1] - roll).square() + (command[:, 2] - pitch).square()
     return torch.exp(-error / std**2)
 
@@ -268,7 +270,7 @@ def travel_error_l2(env: Env, command_name: str, heading_length: NonNegative = 0
 
 def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the squares of the torques that the joints' drives applied, (N·m)^2."""
-    return picked(env.scene[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids).square().sum(dim=1)
+    return picked(env.scene.articulations[asset_cfg.name].data.applied_torque, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
@@ -276,24 +278,24 @@ def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: boo
 
     With ``positive_only``, the sum includes only positive joint power, not the negative power of braking joints.
     """
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
     return (power.clamp(min=0.0) if positive_only else power.abs()).sum(dim=1)
 
 
 def joint_vel_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of joint speeds, rad/s."""
-    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs().sum(dim=1)
+    return picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs().sum(dim=1)
 
 
 def joint_vel_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the squares of the joint velocities, (rad/s)^2."""
-    return picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).square().sum(dim=1)
+    return picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the squares of the joint accelerations over the last physics step, (rad/s^2)^2."""
-    return picked(env.scene[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids).square().sum(dim=1)
+    return picked(env.scene.articulations[asset_cfg.name].data.joint_acc, asset_cfg.joint_ids).square().sum(dim=1)
 
 
 class joint_vel_rate_l2(TermBase):
@@ -322,7 +324,7 @@ class joint_vel_rate_l2(TermBase):
 
 def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the absolute differences between joint positions and default positions, rad."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     ids = asset_cfg.joint_ids
     return (picked(data.joint_pos, ids) - picked(data.default_joint_pos, ids)).abs().sum(dim=1)
 
@@ -332,7 +334,8 @@ def stand_still_joint_deviation_l1(
 ) -> torch.Tensor:
     """Value of ``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), else 0."""
     speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
-    return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
+    found: torch.Tensor = joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
+    return found
 
 
 def joint_symmetry_l1(
@@ -354,7 +357,7 @@ def joint_symmetry_l1(
 
 def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the amounts by which joint positions exceed the joints' soft limits, rad."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
     return ((low - q).clamp(min=0.0) + (q - high).clamp(min=0.0)).sum(dim=1)
@@ -362,14 +365,14 @@ def joint_pos_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 
 def joint_vel_limits(env: Env, soft_ratio: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum over joints of the excess velocity clip(|qd| - limit * ratio, 0, 1), rad/s."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     limit = picked(data.soft_joint_vel_limits, asset_cfg.joint_ids) * soft_ratio
     return (picked(data.joint_vel, asset_cfg.joint_ids).abs() - limit).clamp(0.0, 1.0).sum(dim=1)
 
 
 def applied_torque_limits(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of |applied - computed| torque: the part that the effort limit clipped, N·m."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     ids = asset_cfg.joint_ids
     return (picked(data.applied_torque, ids) - picked(data.computed_torque, ids)).abs().sum(dim=1)
 
@@ -444,7 +447,10 @@ _WALKING = 0.1  # A commanded speed below 0.1 m/s counts as a command to stand.
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
-    return torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1) > _WALKING
+    found: torch.Tensor = (
+        torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1) > _WALKING
+    )
+    return found
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
@@ -484,9 +490,10 @@ def feet_slide(
         threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of the weight of a 0.5 kg robot.
     """
     touches = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) > threshold
-    velocity = env.scene[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
+    velocity = env.scene.articulations[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
     require_pairs(touches, velocity, "asset_cfg.body_names")
-    return (torch.linalg.vector_norm(velocity, dim=-1) * touches).sum(dim=1)
+    found: torch.Tensor = (torch.linalg.vector_norm(velocity, dim=-1) * touches).sum(dim=1)
+    return found
 
 
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
@@ -496,7 +503,8 @@ def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) ->
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
-    return (sideways > ratio * force[..., 2].abs()).any(dim=1).float()
+    found: torch.Tensor = (sideways > ratio * force[..., 2].abs()).any(dim=1).float()
+    return found
 
 
 def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) -> torch.Tensor:
@@ -504,10 +512,11 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 
     Not in Isaac Lab. h is the link's height above the ground straight below, m.
     """
-    data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
+    data, ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.body_ids
     error = height_over_ground(env, picked(data.body_pos_w, ids)) - clearance
     speed = torch.linalg.vector_norm(data.body_lin_vel_w[:, ids, :2], dim=-1)
-    return (error.square() * speed).sum(dim=1)
+    found: torch.Tensor = (error.square() * speed).sum(dim=1)
+    return found
 
 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
@@ -535,7 +544,7 @@ def wheel_slip(
         asset_cfg: the same bodies of the robot, in the same order.
         threshold: force above which a wheel is on the ground, N.
     """
-    data, ids = env.scene[asset_cfg.name].data, asset_cfg.body_ids
+    data, ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.body_ids
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     centre, spin = picked(data.body_lin_vel_w, ids), picked(data.body_ang_vel_w, ids)
     require_pairs(force, centre, "asset_cfg.body_names")
@@ -543,7 +552,8 @@ def wheel_slip(
     normal = force / size.clamp(min=1e-6)
     slip = centre - radius * torch.linalg.cross(spin, normal)
     along = slip - (slip * normal).sum(dim=-1, keepdim=True) * normal
-    return (torch.linalg.vector_norm(along, dim=-1) * (size.squeeze(-1) > threshold)).sum(dim=1)
+    found: torch.Tensor = (torch.linalg.vector_norm(along, dim=-1) * (size.squeeze(-1) > threshold)).sum(dim=1)
+    return found
 
 
 def wheel_spin_in_air_l1(
@@ -557,6 +567,6 @@ def wheel_spin_in_air_l1(
         threshold: force up to which a wheel is in the air, N.
     """
     flies = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) <= threshold
-    speed = picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()
+    speed = picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()
     require_pairs(flies, speed, "asset_cfg.joint_names")
     return (speed * flies).sum(dim=1)

@@ -33,20 +33,20 @@ def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _RO
 
     Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always ends its episode.
     """
-    upright = -env.scene[asset_cfg.name].data.projected_gravity_b[:, 2]
+    upright = -env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2]
     return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle
 
 
 def root_height_below_minimum(env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if the root link is below ``minimum_height`` (m) in the world; for flat ground only."""
-    return env.scene[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
+    return env.scene.articulations[asset_cfg.name].data.root_pos_w[:, 2] < minimum_height
 
 
 def root_height_over_ground_below_minimum(
     env: Env, minimum_height: float, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
     """End the episode if the root link is less than ``minimum_height`` (m) above the ground. Not in Isaac Lab."""
-    return height_over_ground(env, env.scene[asset_cfg.name].data.root_pos_w) < minimum_height
+    return height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w) < minimum_height
 
 
 def terrain_out_of_bounds(
@@ -56,7 +56,7 @@ def terrain_out_of_bounds(
 
     On ground without tiles, the termination ``terrain_out_of_bounds`` never fires.
     """
-    terrain, position = env.scene.terrain, env.scene[asset_cfg.name].data.root_pos_w
+    terrain, position = env.scene.terrain, env.scene.articulations[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
         return torch.zeros_like(position[:, 0], dtype=torch.bool)
     counts, room = terrain.terrain_origins.shape, terrain.border_width
@@ -69,7 +69,7 @@ def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg =
 
     Never on ground without tiles. Not in Isaac Lab.
     """
-    away = (env.scene[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
+    away = (env.scene.articulations[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
     size = env.scene.terrain.size
     return (away[:, 0] > 0.5 * size[0] + margin) | (away[:, 1] > 0.5 * size[1] + margin)
 
@@ -113,7 +113,7 @@ class stuck(TermBase):
 
 def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if the position of at least one joint is outside the joint's soft limits."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     q = picked(data.joint_pos, asset_cfg.joint_ids)
     low, high = picked(data.soft_joint_pos_limits, asset_cfg.joint_ids).unbind(dim=2)
     return ((q < low) | (q > high)).any(dim=1)
@@ -121,25 +121,27 @@ def joint_pos_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
 
 def joint_pos_out_of_manual_limit(env: Env, bounds: Bounds, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if at least one joint position is outside ``bounds``, rad."""
-    q = picked(env.scene[asset_cfg.name].data.joint_pos, asset_cfg.joint_ids)
+    q = picked(env.scene.articulations[asset_cfg.name].data.joint_pos, asset_cfg.joint_ids)
     return ((q < bounds[0]) | (q > bounds[1])).any(dim=1)
 
 
 def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if at least one joint is faster than its actuator's velocity limit."""
-    data = env.scene[asset_cfg.name].data
+    data = env.scene.articulations[asset_cfg.name].data
     speed = picked(data.joint_vel, asset_cfg.joint_ids).abs()
     return (speed > picked(data.soft_joint_vel_limits, asset_cfg.joint_ids)).any(dim=1)
 
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if at least one joint is faster than ``max_velocity``, rad/s."""
-    return (picked(env.scene[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity).any(dim=1)
+    return (
+        picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity
+    ).any(dim=1)
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if a joint torque was clipped by a torque limit, which may depend on joint speed or position."""
-    data, joints = env.scene[asset_cfg.name].data, asset_cfg.joint_ids
+    data, joints = env.scene.articulations[asset_cfg.name].data, asset_cfg.joint_ids
     computed, applied = picked(data.computed_torque, joints), picked(data.applied_torque, joints)
     limits = picked(data.joint_effort_limits, joints)
     scale = torch.where(limits.isfinite(), limits, computed.abs())

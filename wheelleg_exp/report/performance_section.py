@@ -17,7 +17,7 @@ from wheelleg_exp.inspection.recording_plots import PLOTS
 from wheelleg_exp.inspection.recording_summary import Summary, summarize
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.report.headline import ended, played, settle_s, tone_of
-from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text
+from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text, Tone
 from wheelleg_exp.report.plot_images import drawn
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
 from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
@@ -82,8 +82,10 @@ def _numbers(*values: float) -> list[Cell]:
 
 
 def _saturated(share: float | None) -> Cell:
-    tone = "" if share is None or share < _HIGH else "warn" if share < _FULL else "bad"
-    return Cell("–") if share is None else Cell(percent(share), bar=share, tone=tone)  # type: ignore[arg-type]
+    if share is None:
+        return Cell("–")
+    tone: Tone = "" if share < _HIGH else "warn" if share < _FULL else "bad"
+    return Cell(percent(share), bar=share, tone=tone)
 
 
 _FORMATS: Mapping[str, Callable[[object], str]] = {

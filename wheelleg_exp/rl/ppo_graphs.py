@@ -230,7 +230,8 @@ class CapturedActing:
                 self._capture(observations)
             self._acted = True
         if self._graph is None:
-            return algorithm.act(observations)
+            acted: torch.Tensor = algorithm.act(observations)
+            return acted
         for group, values in self._observations.items():
             values.copy_(observations[group])
         self._graph.replay()
@@ -240,7 +241,8 @@ class CapturedActing:
         for name in ("values", "actions_log_prob", "distribution_params"):
             setattr(transition, name, found[name])
         transition.observations = observations
-        return transition.actions
+        actions: torch.Tensor = transition.actions
+        return actions
 
     def _capture(self, observations: Any) -> None:
         self._observations = observations.clone()

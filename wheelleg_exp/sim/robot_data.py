@@ -210,7 +210,8 @@ class RobotData(Stateful):
     @cached_until_change
     def root_lin_vel_b(self) -> torch.Tensor:
         """Velocity of the root body's centre of mass in link axes, m/s, (N, 3): v_link + omega x c."""
-        return self.root_link_lin_vel_b + torch.linalg.cross(self.root_ang_vel_b, self.com_b)
+        found: torch.Tensor = self.root_link_lin_vel_b + torch.linalg.cross(self.root_ang_vel_b, self.com_b)
+        return found
 
     @cached_until_change
     def root_lin_vel_w(self) -> torch.Tensor:
@@ -265,12 +266,14 @@ class RobotData(Stateful):
     @cached_until_change
     def joint_pos_before(self) -> torch.Tensor:
         """Joint positions from which the last physics step started, rad, (N, J)."""
-        return self._qpos_before.index_select(1, self._qpos_ids).float()
+        found: torch.Tensor = self._qpos_before.index_select(1, self._qpos_ids).float()
+        return found
 
     @cached_until_change
     def joint_vel_before(self) -> torch.Tensor:
         """Joint velocities from which the last physics step started, rad/s, (N, J)."""
-        return self._qvel_before.index_select(1, self._dof_ids).float()
+        found: torch.Tensor = self._qvel_before.index_select(1, self._dof_ids).float()
+        return found
 
     applied_torque = alias_of(
         "_applied_torque", "Clipped actuator torque at the last physics step's start, N·m, (N, J); 0 after a reset."
@@ -294,7 +297,8 @@ class RobotData(Stateful):
     @cached_until_change
     def body_rot_w(self) -> torch.Tensor:
         """Rotation matrices from the axes of the robot's links to world axes, (N, B, 3, 3)."""
-        return self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
+        found: torch.Tensor = self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
+        return found
 
     @cached_until_change
     def body_ang_vel_w(self) -> torch.Tensor:
@@ -308,4 +312,5 @@ class RobotData(Stateful):
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com
-        return (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()
+        found: torch.Tensor = (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()
+        return found

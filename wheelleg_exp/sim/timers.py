@@ -24,7 +24,7 @@ def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
         return True
     if timers not in _bounds:
         _bounds[timers] = _Bound()
-    return _bounds[timers].may_be_due(timers, least, dt)
+    return bool(_bounds[timers].may_be_due(timers, least, dt))
 
 
 def forget() -> None:

@@ -101,7 +101,7 @@ class ModelFields:
         array, like = getattr(owner, last, None), self._like(name)
         if like is None or not isinstance(array, self._wp.array) or array.shape[0] not in (1, self._num_envs):
             return False
-        return self._wp.to_torch(array).numel() == array.shape[0] * np.size(like)
+        return bool(self._wp.to_torch(array).numel() == array.shape[0] * np.size(like))
 
     def _place(self, name: str) -> tuple[Any, str]:
         holder, _, last = name.rpartition(".")

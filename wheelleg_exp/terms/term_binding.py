@@ -223,7 +223,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
         expected = "package.module.name" if absent else "a module that can be imported"
         message = f"cannot import '{module_name}': {reason}"
         raise ConfigError(message, key=f"{path}.{TARGET}", expected=expected) from error
-    found = getattr(module, attribute, None)
+    found: object = getattr(module, attribute, None)
     why = getattr(module, "ABSENT", {}).get(attribute)
     if why is not None:
         raise ConfigError(f"Isaac Lab's '{attribute}' is not supported: {why}", key=f"{path}.{TARGET}")

@@ -122,7 +122,7 @@ def hydra_globals() -> Iterator[None]:
                 Singleton._instances[kind] = instance
 
 
-class Repository(CachingConfigRepository):  # type: ignore[misc, unused-ignore]
+class Repository(CachingConfigRepository):
     """A Hydra config repository that passes the mistakes of files to ``note``, and continues with empty configs.
 
     ``loaded`` contains the files that were read, and ``missing`` the names, such as ``reward/alive``, without a file.
@@ -250,7 +250,7 @@ def _line_of_message(file: Path, message: str) -> int | None:
     return None
 
 
-class Loader(ConfigLoaderImpl):  # type: ignore[misc, unused-ignore]
+class Loader(ConfigLoaderImpl):
     """A Hydra config loader that notes each mistake, continues without it, and records the source of each value.
 
     ``problems`` lists the noted mistakes. ``lost`` contains the config keys whose values are unknown because of these

@@ -29,7 +29,7 @@ def set_permanent_body_wrench(
     ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
-    robot = env.scene[asset_cfg.name]
+    robot = env.scene.articulations[asset_cfg.name]
     bodies = asset_cfg.body_list(len(robot.body_names))
     low, high = _wrench_bounds(*force_range, *torque_range, env.device)
     drawn = rotation.uniform(low, high, ids.shape[0] * len(bodies), generator)
@@ -72,7 +72,7 @@ class push_by_adding_velocity(TermBase):
         self._curriculum = curriculum_name
         self._low, self._high = bounds(velocity_range, POSE, "velocity_range", env.device)
         self._generator = generator
-        self._robot = env.scene[asset_cfg.name]
+        self._robot = env.scene.articulations[asset_cfg.name]
         self._turns = frame == "yaw"
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
@@ -126,7 +126,7 @@ class apply_body_impulse(TermBase):
         generator: torch.Generator,
         asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
-        self._robot = env.scene[asset_cfg.name]
+        self._robot = env.scene.articulations[asset_cfg.name]
         bodies = self._bodies = asset_cfg.body_list(len(self._robot.body_names))
         axes = [force_range] * 3 * len(bodies) + [torque_range] * 3 * len(bodies)
         low, high = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device).T
@@ -141,7 +141,8 @@ class apply_body_impulse(TermBase):
 
     def _draw(self, count: int) -> torch.Tensor:
         u = torch.rand(count, len(self._lows), generator=self._generator, device=self._lows.device)
-        return self._lows + self._spans * u
+        found: torch.Tensor = self._lows + self._spans * u
+        return found
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Start a pause before the next push in ``env_ids``; the robot's reset has already removed the old push."""

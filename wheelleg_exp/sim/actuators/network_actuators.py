@@ -92,7 +92,7 @@ class Network:
 
     def __call__(self, *inputs: Any) -> Any:
         """Run a neural network without TorchScript's optimisation passes, which change the last bits of the outputs."""
-        with torch.no_grad(), torch.jit.optimized_execution(False):
+        with torch.no_grad(), torch.jit.optimized_execution(False):  # type: ignore[attr-defined]
             return self._module.forward(*inputs)
 
     def tried(self, *inputs: Any, count: int) -> Any:
@@ -216,7 +216,8 @@ class ActuatorNetMLP(ActuatorNet):
         seen = self._past[:, self._steps].permute(0, 3, 2, 1)
         pos, vel = seen[:, :, 0] * self._scales[0], seen[:, :, 1] * self._scales[1]
         inputs = torch.cat((vel, pos) if self._swapped else (pos, vel), dim=2)
-        return self.network(inputs.flatten(0, 1)).view_as(error) * self._scales[2]
+        found: torch.Tensor = self.network(inputs.flatten(0, 1)).view_as(error) * self._scales[2]
+        return found
 
 
 class ActuatorNetLSTM(ActuatorNet):
@@ -258,4 +259,5 @@ class ActuatorNetLSTM(ActuatorNet):
         torque, (hidden, cell) = self.network(inputs, (self._hidden, self._cell))
         self._hidden.copy_(hidden)
         self._cell.copy_(cell)
-        return torque.view_as(error)
+        found: torch.Tensor = torque.view_as(error)
+        return found

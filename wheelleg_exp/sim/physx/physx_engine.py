@@ -293,7 +293,8 @@ class PhysxEngine(BatchEngine):
     def _lever(self, matrix: torch.Tensor, spin: torch.Tensor) -> torch.Tensor:
         """Return the velocity of the root's centre of mass minus that of the root link's origin, m/s, (N, 3)."""
         centre = self._field("body_ipos")[:, int(self._links[0])]
-        return torch.linalg.cross(spin, rotation.rotate(matrix, centre))
+        found: torch.Tensor = torch.linalg.cross(spin, rotation.rotate(matrix, centre))
+        return found
 
     def _send_controls(self) -> None:
         control, bias = self.view("ctrl"), self._field("actuator_biasprm")

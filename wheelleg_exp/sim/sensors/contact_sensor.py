@@ -339,12 +339,14 @@ class ContactSensor(SensorBase):
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
-        return (time > 0.0) & (time < dt * (1 + ROUNDING))
+        found: torch.Tensor = (time > 0.0) & (time < dt * (1 + ROUNDING))
+        return found
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
-        return (time > 0.0) & (time < dt * (1 + ROUNDING))
+        found: torch.Tensor = (time > 0.0) & (time < dt * (1 + ROUNDING))
+        return found
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         # Negate the sum, because contact forces push the sensed body, but contact normals point away from the body.

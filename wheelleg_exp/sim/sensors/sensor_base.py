@@ -227,7 +227,8 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
     def get(self: Mount) -> torch.Tensor:
         # Reading ``of_root`` is cheaper, because only ``of_bodies`` needs forward kinematics.
         data = self._robot.data
-        return getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
+        found: torch.Tensor = getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
+        return found
 
     return property(get, doc=doc)
 

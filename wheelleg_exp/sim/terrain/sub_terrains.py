@@ -196,7 +196,7 @@ class PyramidSlope(SubTerrain):
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
-        slope = np.tan(at(difficulty, self.slope_range)) * (-1 if self.inverted else 1)
+        slope = float(np.tan(at(difficulty, self.slope_range))) * (-1 if self.inverted else 1)
         return slope * np.minimum(grid.to_edge, max(0.0, min(grid.half) - self.platform_width / 2))
 
 
@@ -229,7 +229,8 @@ def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]]
     drawn = draw((nx + 1, ny + 1))
     low = (1 - u)[:, None] * drawn[i][:, j] + u[:, None] * drawn[i + 1][:, j]
     high = (1 - u)[:, None] * drawn[i][:, j + 1] + u[:, None] * drawn[i + 1][:, j + 1]
-    return (1 - v) * low + v * high
+    heights: Array = (1 - v) * low + v * high
+    return heights
 
 
 def _place(axis: Array, half: float, spacing: float | None) -> tuple[np.ndarray, Array, int]:
