@@ -31,7 +31,7 @@ def make(root, hour, seed, gamma, figure, status):
     run = RunDirectory.create(root, "stand", seed, None if status == "finished" else "broken", now)
     Manifest.begin(run.path, task="stand", seed=seed, command=[], threads={}, now=now)
     scalars = {} if figure is None else {"Train/mean_reward": figure}
-    (run.path / "iterations.jsonl").write_text(json.dumps({"iteration": 9, "scalars": scalars}) + "\n")
+    (run.path / "iterations.jsonl").write_text(json.dumps({"iteration": 9, "digests": {}, "scalars": scalars}) + "\n")
     (run.path / ".hydra").mkdir()
     (run.path / ".hydra" / "config.yaml").write_text(yaml.safe_dump({"agent": {"algorithm": {"gamma": gamma}}}))
     run.manifest().finish(status, {}, None, now=now)

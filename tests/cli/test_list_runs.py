@@ -21,7 +21,9 @@ def root(tmp_path):
             "Train/mean_episode_length": 300.0,
             "Episode_Termination/time_out": 0.5,
         }
-        (run.path / "iterations.jsonl").write_text(json.dumps({"iteration": 9999, "scalars": scalars}) + "\n")
+        (run.path / "iterations.jsonl").write_text(
+            json.dumps({"iteration": 9999, "digests": {}, "scalars": scalars}) + "\n"
+        )
         (run.path / "params").mkdir()
         (run.path / "params" / "agent.yaml").write_text("max_iterations: 12000\n")
         (run.path / "model_9950.pt").write_bytes(b"")

@@ -19,7 +19,7 @@ HEAD = "import torch\nfrom wheelleg_exp.managers import TermBase\n\n\n"
 FUNCTION = "def reward(env):\n    {}\n    return torch.ones(env.num_envs)\n"
 CLASS = (
     "class reward(TermBase):\n"
-    "    def __init__(self, env):\n        self.calls = 0\n        {}\n\n"
+    "    def __init__(self, env):\n        self.number('calls', 0)\n        {}\n\n"
     "    def __call__(self, env):\n        self.calls += 1\n        {}\n        return torch.ones(env.num_envs)\n"
 )
 ENDINGS = {

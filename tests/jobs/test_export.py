@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -26,6 +27,7 @@ from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.c_header import in_comment
 from wheelleg_exp.jobs.export.export_bundle import as_configured, export
 from wheelleg_exp.jobs.saved_robot import saved_mjcf
+from wheelleg_exp.rl.checkpoint import FORMAT_VERSION
 from wheelleg_exp.run.run_config import load_params
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -70,6 +72,10 @@ def checked(folder: Path) -> dict:
 
 def joined(targets: dict) -> np.ndarray:
     return np.stack([targets[name] for name in ("position", "velocity", "effort")])
+
+
+def as_saved(env: ManagerBasedRLEnv) -> dict[str, Any]:
+    return {"format_version": FORMAT_VERSION, "env": env.state_dict()}
 
 
 def exported(run: RunDirectory, output: Path | None = None, checkpoint: Path | None = None):
@@ -335,17 +341,17 @@ def test_commands_have_the_ranges_that_a_curriculum_has_left_them(trained):
     env, fresh = (ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0) for _ in range(2))
     env.command_manager.get_term("base_velocity").ranges["lin_vel_x"] = [-0.5, 0.6]
     still = {"lin_vel_x": [0.0, 0.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [0.0, 0.0]}
-    assert job._ranges(fresh, {"env": fresh.state_dict()}) == {"base_velocity": still}
-    assert job._ranges(fresh, {"env": env.state_dict()}) == {"base_velocity": still | {"lin_vel_x": [-0.5, 0.6]}}
+    assert job._ranges(fresh, as_saved(fresh)) == {"base_velocity": still}
+    assert job._ranges(fresh, as_saved(env)) == {"base_velocity": still | {"lin_vel_x": [-0.5, 0.6]}}
 
 
 def test_an_observation_that_a_curriculum_has_changed_is_refused(trained):
     params, _ = load_params(trained.run)
     env = ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0)
-    job._require_unchanged({"env": env.state_dict()})
+    job._require_unchanged(as_saved(env))
     env.observation_manager.terms("policy")["base_ang_vel"].term.fields["scale"] = 3.0
     with pytest.raises(ConfigError, match="the training changed its settings") as told:
-        job._require_unchanged({"env": env.state_dict()})
+        job._require_unchanged(as_saved(env))
     assert told.value.key == "env.observations.policy.terms.base_ang_vel"
 
 

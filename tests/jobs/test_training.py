@@ -156,7 +156,7 @@ def test_tensorboard_reads_isaac_labs_keys(trained):
 
 
 def test_the_manifest_counts_each_environment_s_last_episode_once(trained):
-    state = checkpoint.load(trained.run.checkpoint(ITERATIONS - 1))["env"]["managers"]["terminations"]["last_episode"]
+    state = checkpoint.load(trained.run.checkpoint(ITERATIONS - 1))["env"]["managers"]["terminations"]["_last_episode"]
     counts = trained.run.manifest().data["last_ended_by"]
     assert sum(counts.values()) == state.shape[1]
     assert sum(n for name, n in counts.items() if "time_out" in name) == int(state[0].sum())

@@ -107,6 +107,7 @@ from pathlib import Path
 import torch
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.ppo_graphs import CapturedUpdate, is_plain_ppo
 from wheelleg_exp.rl.ranks import joined
 from wheelleg_exp.rl.trainer import Trainer

@@ -161,11 +161,12 @@ class RecorderManager(ManagerBase):
             own = getattr(RecorderTerm, hook)
             self._hooks[hook] = [(t, f) for t, f in pairs if getattr(type(f), hook) is not own]
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
-        self._rows: dict[str, Rows] = {}
-        self._initial: dict[str, Rows] = {}
-        self._owners: dict[str, str] = {}
-        self._is_whole = np.zeros(self._num_envs, dtype=bool)
-        self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = {}
+        # A checkpoint contains no recorded rows: a resumed training records whole episodes only.
+        self._rows: dict[str, Rows] = self.number("_rows", {}, saved=False)
+        self._initial: dict[str, Rows] = self.number("_initial", {}, saved=False)
+        self._owners: dict[str, str] = self.number("_owners", {}, saved=False)
+        self._is_whole = self.number("_is_whole", np.zeros(self._num_envs, dtype=bool), saved=False)
+        self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = self.number("_finished", {}, saved=False)
 
     def record_pre_step(self) -> None:
         """Call all recorders before the environment applies the action."""
