@@ -18,6 +18,8 @@ from wheelleg_exp.env.realism import with_realism
 from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, TILES, IsaacLabEnv
 from wheelleg_exp.plain_data import tagged_yaml_value
+from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.terms.config_sections import plain_section
 
 NAMES = yaml.safe_load(Path("docs/tables/isaaclab_names.yaml").read_text())["names"]
 NOT_HERE = (
@@ -58,7 +60,7 @@ def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str
     env = compose(["task=terrain", "realism=full"]).config["env"]
     integrator = {"_target_": "wheelleg_exp.mdp.modifiers.Integrator", "dt": 0.1}
     env["observations"]["policy"]["terms"]["base_ang_vel"]["modifiers"] = [integrator]
-    made = IsaacLabEnv(with_realism(env), 0)
+    made = IsaacLabEnv(plain_section(with_realism(read_env(env))), 0)
     notes = made.notes
     assert made.tree["observations"]["policy"]["base_ang_vel"]["modifiers"] == []
     for note in (

@@ -3,6 +3,7 @@
 import pytest
 import torch
 import yaml
+from omegaconf import OmegaConf
 
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
@@ -29,7 +30,7 @@ def env():
         config["env"][section] = {**_nodes(group), **config["env"][section]}
     for node in config["env"]["rewards"].values():
         node["weight"] = node["weight"] or 1.0
-    return build_env(config)
+    return build_env(OmegaConf.to_container(OmegaConf.create(config), resolve=True))
 
 
 def test_every_stock_term_runs_on_the_stock_robot(env):
