@@ -137,3 +137,9 @@ def test_the_articles_task_has_the_articles_numbers():
     assert not env["curriculum"]
     assert agent["num_steps_per_env"] == 24
     assert agent["actor"]["hidden_dims"] == agent["critic"]["hidden_dims"] == [512, 256, 128]
+
+
+@pytest.mark.parametrize("base", ["level", "generated"])
+def test_a_base_is_not_a_task(base):
+    with pytest.raises(ConfigError, match=r"(?s)^(?!.*training).*task\.name: this value is missing"):
+        compose([f"task=base/{base}"])

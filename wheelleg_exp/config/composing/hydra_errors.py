@@ -64,7 +64,8 @@ def missing_option(loader: Loader, path: str, parent: str) -> ConfigError | None
     group, _, name = path.rpartition("/")
     repository = loader.repository_used
     entries = lookup.defaults_entries(repository.loaded[parent].file) if parent in repository.loaded else []
-    if any(entry.optional and entry.key.partition("@")[0].lstrip("/").endswith(group) for entry in entries):
+    optional = [entry.key.partition("@")[0].lstrip("/") for entry in entries if entry.optional]
+    if any(one.endswith(group) or group.startswith(f"{one}/") for one in optional):
         return None
     chosen = (o for o in loader.overrides if o.key_or_group == group and name in _elements(o.value()))
     where = next(map(where_of, chosen), None) or place_of_option(repository, parent, path)
