@@ -16,6 +16,7 @@ from sim.small_envs import ACTUATORS, env_config
 from env.composed import event, term
 from env.crawler import Crawl, differing
 from env.test_determinism import SECTIONS
+from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import TermBase
 from wheelleg_exp.mdp import actions, commands, curriculums, events, modifiers, noise, observations, rewards
@@ -23,7 +24,6 @@ from wheelleg_exp.mdp import terminations as terminations_module
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.sensors import ContactSensor, Imu, RayCaster
-from wheelleg_exp.state.undeclared import UndeclaredChanges
 
 HIPS = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_hip"]}
 SENSOR = "wheelleg_exp.sim.sensors."

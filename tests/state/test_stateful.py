@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 
+from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state import Settings, Stateful, adopt, register_undeclared
-from wheelleg_exp.state.undeclared import UndeclaredChanges
 
 NAN, INF = float("nan"), float("inf")
 

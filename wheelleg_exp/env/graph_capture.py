@@ -26,21 +26,19 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.managers.manager_base import Term
+from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.state import Stateful, cloned, tree
 from wheelleg_exp.state.stateful import declarations
-from wheelleg_exp.state.undeclared import UndeclaredChanges
 from wheelleg_exp.state.values import PLAIN, Unsaveable, encoded, same
-
-if TYPE_CHECKING:
-    from wheelleg_exp.env.env import ManagerBasedRLEnv
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
@@ -57,6 +55,13 @@ Key = tuple[Any, ...]
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
+class CapturedEnv(Env, Protocol):
+    """An environment of whose step parts can be captured."""
+
+    graph_capture: GraphCapture | None
+    reset_order: list[Any]
+
+
 def captured_part(
     *, to_caller: bool = False, in_python: Callable[..., bool] | None = None
 ) -> Callable[[Method], Method]:
@@ -68,7 +73,7 @@ def captured_part(
 
     def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def run(env: ManagerBasedRLEnv, *args: Any) -> Any:
+        def run(env: CapturedEnv, *args: Any) -> Any:
             if env.graph_capture is None or (in_python is not None and in_python(*args)):
                 return method(env, *args)
             return env.graph_capture.run(method, args, to_caller=to_caller)
@@ -349,9 +354,7 @@ def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
 class GraphCapture:
     """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
 
-    def __init__(
-        self, env: ManagerBasedRLEnv, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph
-    ) -> None:
+    def __init__(self, env: CapturedEnv, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
         # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.

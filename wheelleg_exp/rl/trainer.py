@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from rsl_rl.models import MLPModel
 
+from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
@@ -28,7 +29,6 @@ from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication,
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
-from wheelleg_exp.state.undeclared import UndeclaredChanges
 from wheelleg_exp.user_exceptions import in_words, place
 
 

@@ -5,7 +5,6 @@
 | `stateful` | the base class `Stateful`, which declares buffers, numbers, settings, and children |
 | `settings` | parameters of terms, which checkpoints contain once a curriculum has changed them |
 | `values` | copies, comparisons, and conversions of tensors and plain values |
-| `undeclared` | finds values that change between steps and are not declared |
 | `old_layout` | converts the environment's state in checkpoints of format version 2 |
 """
 

@@ -19,7 +19,6 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.state.values import PLAIN, NamedStream, Unsaveable, encoded, is_saving, restored, same, writes_into
 
 T = TypeVar("T")
@@ -82,7 +81,7 @@ class Stateful:
         """Set the rows ``env_ids`` of all buffers that have a ``fill`` to this number."""
         for name, declared in declarations(self).items():
             if declared.fill is not None:
-                fill_rows(getattr(self, name), env_ids, declared.fill)
+                getattr(self, name).index_fill_(0, env_ids, declared.fill)
 
     def state_dict(self) -> dict[str, Any]:
         """Return copies of all declared values that later control steps depend on."""
