@@ -16,6 +16,8 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.plain_data import require_plain
 from wheelleg_exp.sim.delay import DelayBuffer
 from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.state import same
+from wheelleg_exp.state.old_layout import present_delay
 from wheelleg_exp.terms.config_sections import plain_section
 
 OBSERVATIONS = "wheelleg_exp.mdp.observations."
@@ -119,8 +121,12 @@ def test_a_delay_continues_from_its_saved_share_of_the_range():
 
     one, other = buffer(), buffer()
     one.share.fill_(0.25)
-    other.load_state_dict(one.state_dict() | {"share": 0.25})  # Older checkpoints have one share for all environments.
-    assert torch.equal(one.share, other.share)
+    old = {name.removeprefix("_"): value for name, value in one.state_dict().items()}
+    other.load_state_dict(present_delay(old | {"share": 0.25}))  # one share for all environments
+    assert same(one.state_dict(), other.state_dict())
+    del old["share"], old["last_lag"]  # The oldest checkpoints have no jitter.
+    other.load_state_dict(present_delay(old))
+    assert torch.equal(other.share, torch.ones(50))
     other.load_state_dict(one.state_dict())
     for made in (one, other):
         made.reset(torch.arange(50))

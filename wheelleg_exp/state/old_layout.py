@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import torch
+
 _TAG = "__kind__"
 _ROBOT_PARTS = ("actuators", "wrench", "wrench_bodies", "stale", "settings")
 
@@ -25,7 +27,7 @@ def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
     scene["robot"]["_wrench_bodies"] = tuple(robot["wrench_bodies"])
     for actuator in robot["actuators"].values():
         if isinstance(delay := actuator.get("delay"), dict):
-            delay["_past"] = _private(delay.get("_past", {}))
+            delay["_past"] = present_delay(delay.get("_past", {}))
     for name, sensor in scene["sensors"].items():
         output = {key.removeprefix("output."): value for key, value in sensor.items() if key.startswith("output.")}
         data = sensor | {"output": output, "times": sensor}
@@ -34,14 +36,23 @@ def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
         own = {"_bias_b": sensor.get("bias"), "_noise_b": sensor.get("noise")} if "bias" in sensor else {}
         scene["sensors"][name] = _private(sensor) | own | {"data": data, "_data": data}
     for name, manager in managers.items():
-        managers[name] = _private(manager) | {"delays": {n: _private(d) for n, d in manager.get("delays", {}).items()}}
+        delays = {n: present_delay(delay) for n, delay in manager.get("delays", {}).items()}
+        managers[name] = _private(manager) | {"delays": delays}
     rewards, curriculum = managers.get("rewards", {}), managers.get("curriculum", {})
     rewards["_sums"], curriculum["_state"] = rewards.get("episode_sums"), curriculum.get("last")
     for terms in managers["observations"]["groups"].values():
         for term in terms.values():
-            term["delay"] = _private(term.get("delay", {}))
+            term["delay"] = present_delay(term.get("delay", {}))
             term["_modifiers"], term["_noise"] = dict(enumerate(term["modifiers"])), _private(term["noise"])
     return found
+
+
+def present_delay(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the state of a delay; at first it had no jitter and no share, later one share for all environments."""
+    if "lag" not in values:
+        return dict(values)
+    share = torch.ones(values["lag"].shape) * values.get("share", 1.0)
+    return _private({"last_lag": values["lag"], **values, "share": share})
 
 
 def _private(values: Mapping[str, Any]) -> dict[str, Any]:
