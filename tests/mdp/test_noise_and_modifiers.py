@@ -97,9 +97,9 @@ def test_a_bias_drawn_in_inference_mode_can_be_redrawn_outside():
     model, generator = build(_bias(), "noise"), gen()
     with torch.inference_mode():
         model(torch.zeros(2, 2), generator)
-    before = model.state_dict()["bias"]
+    before = model.state_dict()["_bias"]
     model.reset(T([0]), generator)
-    after = model.state_dict()["bias"]
+    after = model.state_dict()["_bias"]
     assert not torch.equal(after[0], before[0])
     assert torch.equal(after[1], before[1])
 

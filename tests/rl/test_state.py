@@ -20,7 +20,7 @@ DERIVED = frozenset(
         *("['distribution']._distribution", "._views['sensordata']", "._views['actuator_force']", "._sim._current"),
         *(".step_errors", ".robot.data.motion_at_start"),  # only used within a control step
         *(".robot._has_new_targets", ".action_manager._is_new"),  # set at the start of a control step
-        *("._has_worked", ".form", "._part_forms"),  # used in messages
+        *("._has_worked", ".form", "._part_forms", "._is_declared"),  # used in messages
         *("._norms", "._largest_norm", "._counts", ".data._history"),
         *("._data", "._readings", "._pressures", "._normals"),
         *(".robot.data._cache", "._shows_outputs"),
@@ -61,7 +61,7 @@ SPOILS = [
     ("recurrent", lambda state: state["unsaved"]["hidden"]["actor"][0].add_(0.1)),
     ("plain", lambda state: state["optimizer_state_dict"]["state"][0]["exp_avg"].add_(1e-3)),
     ("plain", lambda state: state["log"]["return"].add_(1.0)),
-    ("plain", lambda state: state["env"]["managers"]["rewards"]["episode_sums"].add_(1.0)),
+    ("plain", lambda state: state["env"]["managers"]["rewards"]["_sums"].add_(1.0)),
 ]
 
 

@@ -241,10 +241,10 @@ def test_episode_lengths_that_are_set_shift_no_timers_and_no_commands(make_train
     adapter = make_trainer().env
     env = adapter.env
     command = env.command_manager.get_term("base_velocity")
-    before = copy.deepcopy((command.time_left, command.command, env.event_manager.state_dict()["time_left"]))
+    before = copy.deepcopy((command.time_left, command.command, env.event_manager.state_dict()["_time_left"]))
     drawn = torch.arange(16)  # of 18 control steps
     adapter.episode_length_buf = drawn
-    after = command.time_left, command.command, env.event_manager.state_dict()["time_left"]
+    after = command.time_left, command.command, env.event_manager.state_dict()["_time_left"]
     assert str(before) == str(after)
     adapter.step(torch.zeros(16, 6))
     assert env.episode_length_buf.tolist() == (drawn + 1).tolist()

@@ -204,10 +204,9 @@ def test_a_reset_of_the_scene_leaves_state_and_targets_to_events_and_actions(mak
     run(env, 3, 1.0)
     robot.set_joint_position_target(torch.randn(4, 4, generator=gen))
     robot.set_joint_effort_target(torch.randn(4, 4, generator=gen))
-    before = [
-        t.clone() for t in (*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel"))
-    ]
+    motion = [env.scene.sim.view("qpos"), env.scene.sim.view("qvel")]
+    before = [*robot.targets.state_dict().values(), *(t.clone() for t in motion)]
     env.scene.reset(torch.tensor([1, 3]))
-    now = [*vars(robot.targets).values(), env.scene.sim.view("qpos"), env.scene.sim.view("qvel")]
+    now = [*robot.targets.state_dict().values(), *motion]
     assert len(before) == 5
     assert all(map(torch.equal, before, now))

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from sim.small_envs import run
+from wheelleg_exp.state import same
 
 SENSOR = "wheelleg_exp.sim.sensors."
 ALL = torch.arange(4)
@@ -173,8 +174,7 @@ def test_it_continues_from_its_saved_state(make, period):
     throw(env, 1.0)
     throw(other, 1.0)
     for k in range(6):
-        a, b = env.scene["imu"].data, other.scene["imu"].data
-        assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+        assert same(*(each.scene["imu"].data.state_dict() for each in (env, other)))
         for each in (env, other):
             if k == 3:
                 each.reset(env_ids=torch.tensor([3]))

@@ -7,6 +7,7 @@ from sim.sensors.grounds import STEP
 from sim.small_envs import run
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.terrain import Plane
+from wheelleg_exp.state import same
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 PREFIX = "wheelleg_exp.sim.sensors."
@@ -170,8 +171,7 @@ def test_it_continues_from_its_saved_state(make, period):
     assert not torch.equal(other.scene["scan"].data.pos_w, env.scene["scan"].data.pos_w)
     other.load_state_dict(env.state_dict())
     for k in range(6):
-        a, b = env.scene["scan"].data, other.scene["scan"].data
-        assert all(torch.equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+        assert same(*(each.scene["scan"].data.state_dict() for each in (env, other)))
         for each in (env, other):
             if k == 3:
                 each.reset(env_ids=torch.tensor([3]))
