@@ -198,6 +198,15 @@ def test_digests_of_different_definitions_are_not_compared(a, b):
     assert "not shown to be equal" in compared(a, b).reason
 
 
+def test_digests_of_the_first_format_are_compared_except_of_the_environment(a, b):
+    for iteration in range(synthetic.ITERATIONS):
+        synthetic.edit_line(b, iteration, lambda line: line.update(digest_format=1))
+        set_digest(b, iteration, "environment")
+    assert "environment" not in compared(a, b).parts["digests"].details["names"]
+    set_digest(b, 3, "streams")
+    assert compared(a, b).parts["digests"].details["first_difference"] == {"streams": 3}
+
+
 def test_damage_of_the_compared_iterations_alone_counts():
     names = ("iterations.jsonl", "model_1.pt", "model_2.pt", "recording.rrd")
     assert [Span(2, whole=False, closed=False).covers(name) for name in names] == [True, True, False, False]

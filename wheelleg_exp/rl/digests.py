@@ -18,8 +18,8 @@ from wheelleg_exp.state.values import bytes_of
 if TYPE_CHECKING:
     from hashlib import _Hash
 
-# ``FORMAT`` is the version of the hash algorithm for checkpoints; hashes of different versions cannot be compared.
-FORMAT = 1
+# ``FORMAT`` is the version of the hashes of checkpoints; see ``iteration_log.comparable_digests``.
+FORMAT = 2
 
 # Two different checkpoints have equal hashes of 16 hexadecimal digits with a probability of 5e-20.
 _LENGTH = 16
@@ -36,6 +36,11 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
+
+
+def format_of(state: Mapping[str, Any]) -> int:
+    """Return the digest format of a checkpoint, which depends on the layout of the environment's state."""
+    return FORMAT if state["format_version"] >= 3 else 1
 
 
 def networks(state: Mapping[str, object]) -> dict[str, object]:

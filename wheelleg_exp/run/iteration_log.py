@@ -40,6 +40,17 @@ class Line:
     end: int  # ``end`` is the byte offset in ``iterations.jsonl`` at which the iteration's line ends.
 
 
+def comparable_digests(line: Line, digest_format: int | None) -> dict[str, str]:
+    """Return the digests (hashes) of a log line that can be compared with digests of the format ``digest_format``.
+
+    In format 2, the environment's state has another layout than in format 1; all other digests are the same.
+    """
+    if line.digest_format == digest_format:
+        return dict(line.digests)
+    alike = {line.digest_format, digest_format} == {1, 2}
+    return {name: digest for name, digest in line.digests.items() if alike and name != "environment"}
+
+
 @dataclass(frozen=True)
 class IterationLog:
     """The iterations in a run's log file, without gaps (``lines[i].iteration == i``), and the file's problems."""

@@ -17,6 +17,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_text, read_yaml, require_mapping, sha256
 from wheelleg_exp.plain_data import json_value, require_bounded
 from wheelleg_exp.run.file_inventory import odd_entries
+from wheelleg_exp.run.iteration_log import comparable_digests
 from wheelleg_exp.run.run_config import CONFIG, PARTS, ROBOT, load_params, recorded_robot, resolved
 from wheelleg_exp.run.run_directory import FAILURE, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.source_restore import load_source
@@ -166,11 +167,11 @@ def _checkpoint_problems(subject: Subject, path: Path) -> tuple[list[str], list[
     problems = [] if state["iter"] == iteration else [f"is of iteration {state['iter']}"]
     if iteration >= len(subject.log.lines):
         return [*problems, "is of an iteration that is not in the log"], []
-    line = subject.log.lines[iteration]
-    if line.digest_format != digests.FORMAT:
+    logged = comparable_digests(subject.log.lines[iteration], digests.format_of(state))
+    if not logged:
         return problems, []
     found = digests.of_state(state)
-    differing = [name for name in found if line.digests.get(name) not in (None, found[name])]
+    differing = [name for name in found if logged.get(name) not in (None, found[name])]
     if differing:
         problems.append(f"does not agree with the log's digests of {', '.join(differing)}")
     return problems, list(found)

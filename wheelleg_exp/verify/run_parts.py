@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.iteration_log import Line
+from wheelleg_exp.run.iteration_log import Line, comparable_digests
 from wheelleg_exp.run.manifest import SNAPSHOT
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory
 from wheelleg_exp.run.source_changes import first_few
@@ -110,8 +110,8 @@ class Parting:
 
 
 def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the hashes that both log lines contain, or no names if the hash algorithms differ."""
-    return [n for n in a.digests if n in b.digests] if a.digest_format == b.digest_format else []
+    """Return the names of the comparable hashes that both log lines contain."""
+    return [name for name in comparable_digests(a, b.digest_format) if name in b.digests]
 
 
 def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:

@@ -17,7 +17,7 @@ from wheelleg_exp.jobs.train.scalar_logs import cut_events
 from wheelleg_exp.jobs.train.training_recording import films_from
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.iteration_log import IterationLog, Line, read_log
+from wheelleg_exp.run.iteration_log import IterationLog, Line, comparable_digests, read_log
 from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
 from wheelleg_exp.run.run_directory import CHECKPOINT, FAILURE, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.run_list import effective_status
@@ -43,8 +43,8 @@ class ResumePoint:
 
     def dropped(self, until: int) -> dict[int, Mapping[str, str]]:
         """Return the logged digests (hashes) of the iterations, up to ``until - 1``, that the resume repeats."""
-        later = (line.content for line in self.lines[self.iteration : until])
-        return {line["iteration"]: line["digests"] for line in later if line.get("digest_format") == digests.FORMAT}
+        later = self.lines[self.iteration : until]
+        return {line.iteration: found for line in later if (found := comparable_digests(line, digests.FORMAT))}
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
@@ -102,11 +102,11 @@ def _lasts(name: str, start: int) -> bool:
 
 
 def _wrong_digests(point: ResumePoint) -> list[str]:
-    line = point.lines[point.iteration - 1].content
-    if line.get("digest_format") != digests.FORMAT or point.state is None:
+    if point.state is None:
         return []
-    found = digests.of_state(point.state)
-    return [name for name, digest in line["digests"].items() if found.get(name, digest) != digest]
+    logged = comparable_digests(point.lines[point.iteration - 1], digests.format_of(point.state))
+    found = digests.of_state(point.state) if logged else {}
+    return [name for name, digest in logged.items() if found.get(name, digest) != digest]
 
 
 _DAMAGED = ".damaged"

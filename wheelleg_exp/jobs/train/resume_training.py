@@ -53,11 +53,10 @@ def load_state(trainer: Trainer, state: Mapping[str, object], learning_rate: flo
     trainer.load_state_dict(own)
     if learning_rate is not None:
         trainer.set_learning_rate(learning_rate)
-    if own["format_version"] != checkpoint.FORMAT_VERSION:
-        return []  # Digests of the state in another layout differ.
     wanted = digests.of_state(own if trainer.average.is_on else policy_average.without_average(own))
     found = digests.of_state(trainer.state_dict())
-    lost = [name for name in wanted if wanted[name] != found.get(name)]
+    layout_differs = digests.format_of(own) != digests.FORMAT
+    lost = [n for n in wanted if wanted[n] != found.get(n) and not (layout_differs and n == "environment")]
     return [f"after loading, {', '.join(lost)} differ from the saved state"] if lost else []
 
 
