@@ -454,6 +454,7 @@ def test_code_that_was_not_recorded_is_not_treated_as_equal(a, b, request):
 
 HARMLESS = ["agent.max_iterations", "agent.save_interval", "agent.max_non_finite", "agent.torch_threads"]
 HARMLESS += ["agent.logger", "env.sim.nthread", "env.sim.nconmax", "recording", "recording.interval"]
+HARMLESS += ["env.robot.joint_sets.legs", "env.robot.wheel_radius"]
 
 
 @pytest.mark.parametrize("key", [*HARMLESS, "env.sim.graph_step", "agent.run_name", "env.sim", "run.root"])

@@ -31,6 +31,8 @@ from wheelleg_exp.terms.key_syntax import Keys
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
     *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
+    # Terms refer to these names and sizes of the robot, so that each effect is a difference of a term, too.
+    *(("env", "robot", key) for key in ("joint_sets", "body_sets", "standing_height", "wheel_radius")),
     ("recording",),
 )
 
