@@ -497,7 +497,7 @@ PROJECT = {
     "pet/terms.py": (
         "import torch\nfrom wheelleg_exp.managers import TermBase\n\n\n"
         "class Patience(TermBase):\n"
-        "    def __init__(self, env):\n        self._seen = []\n\n"
+        '    def __init__(self, env):\n        self._seen = self.number("_seen", [])\n\n'
         "    def __call__(self, env):\n        self._seen.append(float(env.scene.robot.data.root_pos_w[0, 2]))\n"
         "        return torch.full((env.num_envs,), sum(self._seen) / len(self._seen))\n"
     ),
