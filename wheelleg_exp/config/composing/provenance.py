@@ -11,14 +11,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
+
+from hydra.core.override_parser.types import Override
 
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
-
-if TYPE_CHECKING:
-    from wheelleg_exp.config.composing.config_loader import Loader
 
 MISSING = "???"
 
@@ -225,12 +224,44 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-def find_mounts(loader: Loader) -> list[Mount]:
+class ReadFiles(Protocol):
+    """The config files that were read, and the config groups in all config folders."""
+
+    loaded: dict[str, ConfigFile]
+
+    def group_exists(self, config_path: str) -> bool:
+        """Return whether a config group exists."""
+
+    def config_exists(self, config_path: str) -> bool:
+        """Return whether a config file exists."""
+
+    def get_group_options(self, group_name: str) -> list[str]:
+        """Return the names of the options of a config group."""
+
+
+class Composition(Protocol):
+    """What ``config_loader.Loader`` has read: overrides, files, and config groups."""
+
+    overrides: list[Override]
+    files: list[ConfigFile]
+
+    @property
+    def repository_used(self) -> ReadFiles:
+        """The files that were read."""
+
+    def groups(self) -> list[str]:
+        """Return the names of all config groups."""
+
+    def options(self, group: str) -> list[str]:
+        """Return the names of the options of a config group."""
+
+
+def find_mounts(loader: Composition) -> list[Mount]:
     """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
     return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader).items()]
 
 
-def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
+def _mount(loader: Composition, name: str, choices: list[Choice]) -> Mount:
     group, _, package = name.partition("@")
     # If one task extends another, ignore the file of the extended task, because the user did not select it.
     mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
@@ -242,7 +273,7 @@ def _mount(loader: Loader, name: str, choices: list[Choice]) -> Mount:
     return Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices))
 
 
-def _choices_by_mount(loader: Loader) -> dict[str, list[Choice]]:
+def _choices_by_mount(loader: Composition) -> dict[str, list[Choice]]:
     """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
