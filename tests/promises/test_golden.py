@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+
+from wheelleg_exp.state import same
+from wheelleg_exp.state.old_layout import from_format_2
 
 from .golden import (
     CORPUS_VARIABLE,
@@ -173,6 +177,15 @@ def test_the_old_policy_is_exported(old_run, answered, tmp_path):
     assert Path(done["checkpoint"]).name == "model_3.pt"
     assert max(done["largest_difference"].values()) < 1e-5
     assert done["lacks"] == []
+
+
+def test_the_old_state_of_accelerations_is_converted(old_run):
+    env = torch.load(old_run / "model_3.pt", weights_only=True)["env"]
+    assert from_format_2(env)["scene"]["robot"]["data"]["_vel_before"] is None
+    env["scene"]["robot"] |= {"body_vel_before": torch.ones(4, 7, 6), "acc_valid": torch.ones(4, 1, 1)}
+    data = from_format_2(env)["scene"]["robot"]["data"]
+    assert same(data["_vel_before"], torch.ones(4, 7, 6))
+    assert same(data["_acc_valid"], torch.ones(4, 1, 1))
 
 
 @pytest.mark.slow

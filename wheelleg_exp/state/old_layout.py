@@ -23,6 +23,7 @@ def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
     robot = scene["robot"]
     targets = {name: robot[f"joint_{name}_target"] for name in ("pos", "vel", "effort")}
     data = _private({name: value for name, value in robot.items() if name not in _ROBOT_PARTS})
+    data["_vel_before"] = robot.get("body_vel_before")  # None if no term has read accelerations
     scene["robot"] = _private(robot) | {"targets": targets, "data": data | robot["settings"]}
     scene["robot"]["_wrench_bodies"] = tuple(robot["wrench_bodies"])
     for actuator in robot["actuators"].values():
