@@ -487,6 +487,9 @@ def _tensors(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
         for name, item in node.items():
             yield from _tensors(item, f"{path}/{name}")
     elif isinstance(node, list | tuple):
+        if node and all(isinstance(item, torch.Tensor) and item.shape == node[0].shape for item in node):
+            # A history can be one tensor (N, T, ...), or a list of T tensors (N, ...).
+            yield from _tensors(torch.stack(tuple(node), dim=1), f"{path}/(stacked)")
         for index, item in enumerate(node):
             yield from _tensors(item, f"{path}/{index}")
 
