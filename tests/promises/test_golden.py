@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from wheelleg_exp.sim.sensors.contact_sensor import TIMES
 from wheelleg_exp.state import same
 from wheelleg_exp.state.old_layout import from_format_2
 
@@ -179,9 +180,11 @@ def test_the_old_policy_is_exported(old_run, answered, tmp_path):
     assert done["lacks"] == []
 
 
-def test_the_old_state_of_accelerations_is_converted(old_run):
+def test_the_old_state_of_sensors_and_accelerations_is_converted(old_run):
     env = torch.load(old_run / "model_3.pt", weights_only=True)["env"]
-    assert from_format_2(env)["scene"]["robot"]["data"]["_vel_before"] is None
+    scene = from_format_2(env)["scene"]
+    assert scene["robot"]["data"]["_vel_before"] is None
+    assert set(scene["sensors"]["contact_forces"]["data"]["times"]) == set(TIMES)
     env["scene"]["robot"] |= {"body_vel_before": torch.ones(4, 7, 6), "acc_valid": torch.ones(4, 1, 1)}
     data = from_format_2(env)["scene"]["robot"]["data"]
     assert same(data["_vel_before"], torch.ones(4, 7, 6))

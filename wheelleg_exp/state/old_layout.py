@@ -31,7 +31,8 @@ def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
             delay["_past"] = present_delay(delay.get("_past", {}))
     for name, sensor in scene["sensors"].items():
         output = {key.removeprefix("output."): value for key, value in sensor.items() if key.startswith("output.")}
-        data = sensor | {"output": output, "times": sensor}
+        times = {key: value for key, value in sensor.items() if key.endswith("_time")}
+        data = sensor | {"output": output, "times": times}
         if "history" in sensor:
             data["forces"] = list(sensor["history"].unbind(dim=1))
         own = {"_bias_b": sensor.get("bias"), "_noise_b": sensor.get("noise")} if "bias" in sensor else {}
