@@ -36,6 +36,7 @@ HOST = {
     "sim/robot_model.py": "edits the robot before it is compiled",
     "sim/root_frame.py": "edits the robot before it is compiled",
     "sim/scene.py": "digests the compiled model",
+    "env/undeclared.py": "looks at a step from outside, once in a training",
     "managers/async_queries.py": "looks at masks that have come to the host",
     "managers/recorder_manager.py": "recorded rows leave the device",
     "managers/curriculum_manager.py": "takes what a user's term returned",

@@ -43,7 +43,7 @@ def fake_env(**fields: Any) -> Any:
         contact_sensor = dict.__getitem__
 
     scene = Scene(members)
-    scene.robot = robot
+    scene.robot, scene.articulations = robot, members
     ground = fields.pop("ground", lambda xy: torch.zeros_like(xy[..., 0]))
     scene.terrain = SimpleNamespace(height_at=ground, **fields.pop("terrain", {}))
     fields.setdefault("command_manager", SimpleNamespace(get_command=fields.pop("commands", {}).__getitem__))

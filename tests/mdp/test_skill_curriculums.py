@@ -39,7 +39,7 @@ class World:
         )
         terrain.update_env_origins = lambda _, up, down: self.moved.append((up.tolist(), down.tolist()))
         self.scene = Scene(robot=SimpleNamespace(data=self.data))
-        self.scene.robot = self.scene["robot"]
+        self.scene.robot, self.scene.articulations = self.scene["robot"], self.scene
         self.scene.terrain, self.scene.env_origins = terrain, torch.zeros(N, 3)
 
     def state_dict(self) -> dict:

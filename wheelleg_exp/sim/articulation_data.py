@@ -151,10 +151,8 @@ class ArticulationData(RobotData):
     @cached_until_change
     def body_link_lin_vel_w(self) -> torch.Tensor:
         """Linear velocities of the origins of the robot's links in world axes, m/s, (N, B, 3)."""
-        found: torch.Tensor = self.body_lin_vel_w + torch.linalg.cross(
-            self.body_ang_vel_w, self.body_pos_w - self.body_com_pos_w
-        )
-        return found
+        lever = self.body_pos_w - self.body_com_pos_w
+        return self.body_lin_vel_w + self.body_ang_vel_w.cross(lever, dim=-1)
 
     @cached_until_change
     def body_com_pos_w(self) -> torch.Tensor:
