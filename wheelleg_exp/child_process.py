@@ -246,7 +246,7 @@ class EventPipe:
     def __init__(self, descriptor: int) -> None:
         self._file = FileIO(descriptor, "w", closefd=False)
 
-    def send(self, event: str, **facts: Any) -> None:
+    def send(self, event: str, **facts: object) -> None:
         """Send one event."""
         line = json.dumps({"event": event, **facts}, default=float) + "\n"
         data = memoryview(line.encode())
@@ -365,7 +365,7 @@ def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any
 # --- one call ---
 
 
-def call_limited(function: Callable[..., _T], *arguments: Any, key: str, seconds: int, gib: int) -> _T:
+def call_limited(function: Callable[..., _T], *arguments: object, key: str, seconds: int, gib: int) -> _T:
     """Return ``function(*arguments)``, computed in a child process with limited CPU time and memory.
 
     An exception of the function is raised here. RunDirectoryError means that the child process died, for example

@@ -73,7 +73,7 @@ def captured_part(
 
     def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def run(env: CapturedEnv, *args: Any) -> Any:
+        def run(env: CapturedEnv, *args: object) -> Any:
             if env.graph_capture is None or (in_python is not None and in_python(*args)):
                 return method(env, *args)
             return env.graph_capture.run(method, args, to_caller=to_caller)
@@ -476,7 +476,7 @@ class CapturedPart:
         self._mismatches, self._missed = 0, 0
         self._last: Key = (-1, ())
 
-    def __call__(self, *args: Any) -> Any:
+    def __call__(self, *args: object) -> Any:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         self._reset_caches()
         if self.fails:
@@ -663,7 +663,7 @@ def _has_other_entries(now: object, was: Mapping[Any, Any]) -> bool:
     return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
 
 
-def _frozen(tree: Any) -> Any:
+def _frozen(tree: object) -> Any:
     """Copy the containers of a nested structure, but not its tensors: recorded work may change the originals."""
     if isinstance(tree, dict):
         return {key: _frozen(value) for key, value in tree.items()}

@@ -60,7 +60,7 @@ class Cfg(Mapping[str, Any]):
         message, expected = "the environment's config does not contain this key", "one of " + ", ".join(section)
         raise NoSuchKey(message, key=f"{path}.{name}", expected=expected, nearest=nearest_name(name, section))
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         expected = "a change of the term: env.reward_manager.get_term_cfg(name).weight, ... .params"
         raise NoSuchKey("the environment's config is read-only", key=f"{self._path}.{name}", expected=expected)
 

@@ -143,12 +143,12 @@ def surviving(rows: Mapping[str, Array]) -> Array:
     return np.asarray(moving(rows) & (rows["survived"] == 1.0))
 
 
-def differing(rows: Mapping[str, Array], column: str, value: Any) -> Array:
+def differing(rows: Mapping[str, Array], column: str, value: object) -> Array:
     """Return the mask of the episodes in which ``column`` does not have the given value."""
     return np.asarray(rows[column] != value)
 
 
-def matching(rows: Mapping[str, Array], **values: Any) -> Array:
+def matching(rows: Mapping[str, Array], **values: object) -> Array:
     """Return the mask of the episodes whose columns, such as ``level``, have the given values."""
     return np.asarray(np.logical_and.reduce([rows[name] == value for name, value in values.items()]))
 

@@ -12,7 +12,7 @@ import numpy as np
 FORMAT = 1
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}

@@ -135,13 +135,13 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         """Return an image (height, width, 3) of every environment, or None without a ``render_mode``."""
         return self._pictures.draw()
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+    def call(self, name: str, *args: object, **kwargs: object) -> tuple[Any, ...]:
         """Return the attribute ``name``, or the result of the method ``name``, once for each environment."""
         found = getattr(self, name)
         answer = found(*args, **kwargs) if callable(found) else found
         return answer if name == "render" and answer is not None else (answer,) * self.num_envs
 
-    def close_extras(self, **kwargs: Any) -> None:
+    def close_extras(self, **kwargs: object) -> None:
         """Stop the rendering process."""
         del kwargs
         self._pictures.close()

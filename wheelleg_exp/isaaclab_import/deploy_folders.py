@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.config.composing.compose import compose
@@ -91,12 +90,12 @@ def _command(ranges: Mapping[str, object]) -> Tree:
     return {"base_velocity": {**node, "resampling_time_range": [10.0, 10.0], "heading_command": False}}
 
 
-def _action(kind: str, joints: Sequence[str], **settings: Any) -> Tree:
+def _action(kind: str, joints: Sequence[str], **settings: object) -> Tree:
     node = {"class_type": f"{_MDP}.actions.joint_actions:{kind}", "joint_names": joints, "preserve_order": True}
     return node | settings
 
 
-def _observation(function: str, params: Mapping[str, object] | None, **settings: Any) -> Tree:
+def _observation(function: str, params: Mapping[str, object] | None, **settings: object) -> Tree:
     return {"func": f"{_MDP}.observations:{function}", "params": params or {}, **settings}
 
 

@@ -76,7 +76,7 @@ class Section:
         self.left: Tree = dict(tree or {})
         self.key, self._report = key, report
 
-    def take(self, name: str, default: Any = None) -> Any:
+    def take(self, name: str, default: object = None) -> Any:
         """Return and remove the value of a key; ``default`` if the key is missing or null."""
         value = self.left.pop(name, None)
         return default if value is None else value

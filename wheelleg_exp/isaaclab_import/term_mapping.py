@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import Any
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.import_report import CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
@@ -216,6 +215,6 @@ def parameters_of(target: str, key: str) -> Mapping[str, object]:
     return signature_parameters(resolve_target(target, key))
 
 
-def entity(name: str, **chosen: Any) -> Tree:
+def entity(name: str, **chosen: object) -> Tree:
     """Return the node of chosen joints or bodies of the entity ``name``."""
     return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": name, **chosen}

@@ -82,7 +82,7 @@ def case_of_file(source: Path) -> Case:
 
 
 def _file_case(
-    source: Path, env: Mapping[str, Any], robot: dict[str, Any], drives: Drives, conversion: Conversion | None = None
+    source: Path, env: Mapping[str, object], robot: dict[str, Any], drives: Drives, conversion: Conversion | None = None
 ) -> Case:
     mjcf = conversion.output if conversion else source
     config = {"env": {**env, "robot": robot}}

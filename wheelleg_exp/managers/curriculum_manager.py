@@ -48,5 +48,5 @@ class CurriculumManager(ManagerBase):
         return [(name, [_number(value) for value in values]) for name, values in parts]
 
 
-def _number(value: Any) -> Any:
+def _number(value: object) -> Any:
     return value.item() if isinstance(value, torch.Tensor) and value.ndim == 0 else value

@@ -114,13 +114,13 @@ class Term(Stateful):
             return vars(self).get("fields", {}).get(name)
         raise AttributeError(f"a term has no attribute '{name}', only func, params, {', '.join(FIELD_TYPES)}")
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: object) -> None:
         if name in FIELD_TYPES:
             self.fields[name] = value
         else:
             super().__setattr__(name, value)
 
-    def __call__(self, *args: Any) -> Any:
+    def __call__(self, *args: object) -> Any:
         """Call the term with the environment (and ids), and check that the term's return value has the required form.
 
         An exception in a term's code becomes a ConfigError in the term's first call, and a SimulationFailure in all
@@ -238,7 +238,7 @@ def _bound_term(kind: str, node: TermNode, env: Env) -> Term:
     return term
 
 
-def _params(term: Term, arguments: Mapping[str, Any], env: Env) -> dict[str, Any]:
+def _params(term: Term, arguments: Mapping[str, object], env: Env) -> dict[str, Any]:
     """Return the arguments of a target: with built nodes, resolved entities, and the random stream of the term."""
     params = {name: build(value, f"{term.path}.{name}") for name, value in arguments.items()}
     for name, value in params.items():
@@ -275,7 +275,7 @@ def instantiate_term(term: Term, env: Env) -> None:
     term.made_by(make, keeps_params)
 
 
-def build(value: Any, path: str) -> Any:
+def build(value: object, path: str) -> Any:
     """Return a parameter in which each ``_target_`` node is replaced by the object that its target returns."""
     for where, node in term_binding.walk_nodes(value, path):
         if TARGET in node:
@@ -284,7 +284,7 @@ def build(value: Any, path: str) -> Any:
     return _built(value, path)
 
 
-def _built(value: Any, path: str) -> Any:
+def _built(value: object, path: str) -> Any:
     """Return a deep copy of a parameter in which each ``_target_`` node is replaced by the result of its call."""
     if isinstance(value, (list, tuple)):
         return type(value)(_built(item, f"{path}[{index}]") for index, item in enumerate(value))
@@ -385,7 +385,7 @@ class ManagerBase(OfEnv, Stateful):
         return table(f"{self.kind.capitalize()}: {len(rows)}", ("index", "name", *self.columns, "term"), rows)
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return a table with a title as plain text."""
     grid = Table(title=title, title_justify="left", box=SIMPLE, title_style="")
     for column in columns:

@@ -193,7 +193,7 @@ class ObservationTerm(Stateful):
         return value
 
 
-def _same(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> bool:
+def _same(mine: Mapping[str, object], theirs: Mapping[str, object]) -> bool:
     """Return whether two terms have equal parameters. Lists and other mutable values always count as different."""
     for name, value in mine.items():
         other = theirs.get(name)

@@ -69,7 +69,7 @@ class Rows:
         self._starts -= first
 
 
-def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterator[tuple[str, np.ndarray]]:
+def recorded_arrays(returned: object, rows: int, source: str, code: object) -> Iterator[tuple[str, np.ndarray]]:
     """Yield ``(key, array)`` for each tensor that a recorder's method returned; a mapping gives keys like ``key/name``.
 
     Errors contain ``source``, the name of the recorder's method, and the file and line of ``code``.
@@ -86,7 +86,7 @@ def recorded_arrays(returned: Any, rows: int, source: str, code: Any) -> Iterato
     raise ConfigError(f"{source} returns {found}", where=code_place(code), expected=expected)
 
 
-def _is_recordable(key: Any, value: Any, rows: int) -> bool:
+def _is_recordable(key: object, value: object, rows: int) -> bool:
     return isinstance(key, str) and isinstance(value, torch.Tensor) and value.shape[:1] == (rows,)
 
 
@@ -293,7 +293,7 @@ class RecorderManager(ManagerBase):
         return (", ".join(hook.removeprefix("record_") for hook in hooks),)
 
 
-def _joined(episodes: Sequence[tuple[Mapping[str, Any], Arrays]]) -> Arrays:
+def _joined(episodes: Sequence[tuple[Mapping[str, object], Arrays]]) -> Arrays:
     arrays = {f"episode/{name}": np.array([about[name] for about, _ in episodes]) for name in episodes[0][0]}
     for key in dict.fromkeys(key for _, own in episodes for key in own):
         arrays[key] = np.concatenate([own[key] for _, own in episodes if key in own])

@@ -21,14 +21,14 @@ from wheelleg_exp.terms.term_errors import code_place, described
 class Form(Protocol):
     """Base class of the requirements for a term's return value, such as type, shape, and device."""
 
-    def fits(self, value: Any) -> bool:
+    def fits(self, value: object) -> bool:
         """Return True if a fast test accepts a term's return value; otherwise, call ``check`` for an exact test."""
 
-    def check(self, value: Any, source: str) -> None:
+    def check(self, value: object, source: str) -> None:
         """Raise ConfigError if a term's return value is invalid; the message names the function ``source``."""
 
 
-def require_form(form: Form, value: Any, source: str, path: str, code: Any) -> None:
+def require_form(form: Form, value: object, source: str, path: str, code: object) -> None:
     """Raise ConfigError with the config key ``path`` unless a term's return value ``value`` has the form ``form``.
 
     The error contains ``source``, the name of the function that returned ``value``, and the file and line of ``code``.
@@ -64,7 +64,7 @@ class TensorForm:
         """Whether the term has already returned a valid tensor; all later tensors must have the same shape."""
         return self._shape is not None
 
-    def fits(self, value: Any) -> bool:
+    def fits(self, value: object) -> bool:
         """Return whether ``value`` has the shape of the first valid tensor that the term returned."""
         return self._shape is not None and getattr(value, "shape", None) == self._shape
 
@@ -82,7 +82,7 @@ class TensorForm:
         kind = "real" if self.dtype is None else _dtype_name(self.dtype)
         return f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
 
-    def _mistake(self, value: Any) -> tuple[str, str]:
+    def _mistake(self, value: object) -> tuple[str, str]:
         if not isinstance(value, torch.Tensor):
             if value is None:
                 return "nothing", "a return statement may be missing"
@@ -125,11 +125,11 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 class NoForm:
     """Requires that a term returns None, as event terms do."""
 
-    def fits(self, value: Any) -> bool:
+    def fits(self, value: object) -> bool:
         """Return whether a term's return value is None."""
         return value is None
 
-    def check(self, value: Any, source: str) -> None:
+    def check(self, value: object, source: str) -> None:
         """Raise ConfigError if ``value`` is not None; the message names the function ``source`` that returned it."""
         if value is not None:
             message = f"{source} returns {described(value)}, but must return nothing"
@@ -139,11 +139,11 @@ class NoForm:
 class FiguresForm:
     """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 
-    def fits(self, value: Any) -> bool:
+    def fits(self, value: object) -> bool:
         """Return True if a term returned None or a float; ``check`` tests all other return values."""
         return value is None or type(value) is float
 
-    def check(self, value: Any, source: str) -> None:
+    def check(self, value: object, source: str) -> None:
         """Raise ConfigError if a function returned anything but a number, numbers by name, or None."""
         figures = value.values() if isinstance(value, Mapping) else [value]
         wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
@@ -153,7 +153,7 @@ class FiguresForm:
             raise ConfigError(f"{source} returns {described(wrong)}{inside}", expected=expected)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     if isinstance(value, (torch.Tensor, np.ndarray)):
         return math.prod(value.shape) == 1
     return isinstance(value, (int, float, np.generic)) and not isinstance(value, np.str_)

@@ -26,7 +26,7 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{places}f}".replace("-", "−")
 
 
-def numbers(value: Any) -> Any:
+def numbers(value: object) -> Any:
     """Replace the text ``nan`` in a value from a JSON file by None, because JSON has no NaN."""
     if isinstance(value, Mapping):
         return {key: numbers(inner) for key, inner in value.items()}

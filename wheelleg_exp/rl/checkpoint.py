@@ -119,7 +119,7 @@ def require_resumable(state: Mapping[str, object]) -> None:
         raise RunDirectoryError(message, expected=expected)
 
 
-def _rebuilt(value: Any) -> Any:
+def _rebuilt(value: object) -> Any:
     """Return a deep copy of nested containers in which no object is shared.
 
     Equal states must give equal bytes, but pickle writes an object only once if the state contains it twice.
@@ -133,7 +133,7 @@ def _rebuilt(value: Any) -> Any:
     return sys.intern(value) if isinstance(value, str) else value
 
 
-def roles_of(algorithm: Any) -> tuple[str, ...]:
+def roles_of(algorithm: object) -> tuple[str, ...]:
     """Return the roles of an algorithm's networks: actor and critic, or student and teacher."""
     return tuple(role for role in ROLES if hasattr(algorithm, role))
 

@@ -56,7 +56,7 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
     return {name: tree_digest(merged[name]) if name in merged else digest for name, digest in first.items()}
 
 
-def tree_digest(tree: Any) -> str:
+def tree_digest(tree: object) -> str:
     """Return a hash (16 hexadecimal digits) of nested mappings and sequences of tensors, numbers, and text.
 
     The key, type, and length of each entry are hashed, so that trees with different structures have different hashes.
@@ -85,7 +85,7 @@ def _part_of(key: str) -> str:
     return kind if key.endswith("_state_dict") else "rest"
 
 
-def _update(digest: _Hash, path: str, value: Any) -> None:
+def _update(digest: _Hash, path: str, value: object) -> None:
     if isinstance(value, Mapping):
         digest.update(f"{path}\0{{{len(value)}\0".encode())
         for key, item in value.items():

@@ -94,7 +94,7 @@ _MAX_OFFSET = 1e-4  # m
 _MAX_SIGN_ERROR = 1e-3
 
 
-def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
+def mirror_rays(sensor: object, bodies: BodyImages, path: str) -> SignedSources:
     """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
 
     ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
@@ -111,7 +111,7 @@ def mirror_rays(sensor: Any, bodies: BodyImages, path: str) -> SignedSources:
     return [(int(number), 1.0) for number in source]
 
 
-def mirror_imu(sensor: Any, kind: str, bodies: BodyImages, path: str) -> SignedSources:
+def mirror_imu(sensor: object, kind: str, bodies: BodyImages, path: str) -> SignedSources:
     """Return the left-right mirror rule of an IMU's measurement, which is a vector, pseudovector, or quaternion.
 
     The mirror M turns a measured vector v into R^T M R v, and a pseudovector v into -R^T M R v; R rotates the IMU's

@@ -153,7 +153,7 @@ class Ranks:
         backend = "nccl" if device.startswith("cuda") else "gloo"
         return {"world_size": self.size, "backend": backend, **{f"{key}s": [one[key] for one in each] for key in mine}}
 
-    def gather_all(self, value: Any) -> list[Any]:
+    def gather_all(self, value: object) -> list[Any]:
         """Send a JSON value to all processes (ranks), and return the values of all ranks in the order of the ranks."""
         return [json.loads(content) for content in self._gathered(json.dumps(value).encode(), everywhere=True) or ()]
 
@@ -166,7 +166,7 @@ class Ranks:
             dist.all_reduce(number, op=dist.ReduceOp.MAX)
         return bool(number.item())
 
-    def from_first(self, value: Any) -> Any:
+    def from_first(self, value: object) -> Any:
         """Send a JSON value from the first process (rank) to all ranks, and return this value on every rank."""
         return self.gather_all(value if self.first else None)[0]
 

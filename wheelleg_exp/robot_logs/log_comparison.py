@@ -17,7 +17,6 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -96,7 +95,7 @@ def compare_with_run(path: Path, run: RunDirectory) -> LogReport:
         return compare_log(log, folder, params, saved_mjcf(run))
 
 
-def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, Any], mjcf: Path) -> LogReport:
+def compare_log(log: RobotLog, bundle: Path, params: Mapping[str, object], mjcf: Path) -> LogReport:
     """Compare a log with the policy in the folder ``bundle``, and with the robot of the ``env`` config ``params``."""
     try:
         policy = Policy(bundle)

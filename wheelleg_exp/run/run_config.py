@@ -29,14 +29,14 @@ PARTS = ("env", "agent")
 POLICY_KEYS = ("actor", "student", "obs_groups", "clip_actions", "torch_threads")
 
 
-def require_resolved(params: Mapping[str, Any], where: str | None = None) -> None:
+def require_resolved(params: Mapping[str, object], where: str | None = None) -> None:
     """Raise RunDirectoryError if a parameter contains ``${``, because runs store only resolved parameters."""
     for key, _ in _unresolved(params, ""):
         message = "the value contains '${', but parameters are not resolved again"
         raise RunDirectoryError(message, key=key, where=where, expected="a plain value")
 
 
-def _unresolved(value: Any, key: str) -> Iterator[tuple[str, str]]:
+def _unresolved(value: object, key: str) -> Iterator[tuple[str, str]]:
     """Yield the path and the text of each value and key that contains ``${``."""
     if isinstance(value, Mapping):
         for name, item in value.items():
@@ -64,7 +64,7 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
     return params["env"], params["agent"]
 
 
-def upgrade_env_params(env: Mapping[str, Any]) -> dict[str, Any]:
+def upgrade_env_params(env: Mapping[str, object]) -> dict[str, Any]:
     """Convert an environment's parameters from the format of an older version of the program to the current format."""
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
@@ -150,7 +150,7 @@ def recorded_overrides(directory: os.PathLike[str]) -> list[str]:
     return [str(word) for word in found]
 
 
-def require_overrides(words: Iterable[Any], path: Path) -> None:
+def require_overrides(words: Iterable[object], path: Path) -> None:
     """Raise RunDirectoryError unless all words from the file ``path`` are allowed config overrides."""
     # Do not trust overrides that are read from a file, because anyone can have changed the file.
     for word in words:
@@ -175,7 +175,10 @@ def recorded_robot(directory: os.PathLike[str]) -> RobotIdentity:
 
 
 def resolved(
-    tree: Mapping[str, Any], variables: Mapping[str, str], absent: Callable[[str], Any], sections: tuple[str, ...] = ()
+    tree: Mapping[str, object],
+    variables: Mapping[str, str],
+    absent: Callable[[str], Any],
+    sections: tuple[str, ...] = (),
 ) -> dict[str, Any]:
     """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
@@ -214,7 +217,7 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
             raise InterpolationResolutionError(f"resolving the config takes more than {_MAX_STEPS} interpolations")
         return resolve(self, *arguments, **more)
 
-    def variable(name: str, default: Any = _NO_DEFAULT) -> Any:
+    def variable(name: str, default: object = _NO_DEFAULT) -> Any:
         if name in variables:
             return variables[name]
         if default is _NO_DEFAULT:

@@ -11,7 +11,7 @@ _TAG = "__kind__"
 _ROBOT_PARTS = ("actuators", "wrench", "wrench_bodies", "stale", "settings")
 
 
-def from_format_2(env: Mapping[str, Any]) -> dict[str, Any]:
+def from_format_2(env: Mapping[str, object]) -> dict[str, Any]:
     """Return the state of an environment in the present layout; ``restore`` ignores the values it does not need.
 
     Format version 2 tagged containers, named private attributes without their underscore, and stored the values of
@@ -57,12 +57,12 @@ def present_delay(values: Mapping[str, Any]) -> dict[str, Any]:
     return _private({"last_lag": values["lag"], **values, "share": share})
 
 
-def _private(values: Mapping[str, Any]) -> dict[str, Any]:
+def _private(values: Mapping[str, object]) -> dict[str, Any]:
     """Return values under their names with and without a leading underscore."""
     return {**{f"_{name}": value for name, value in values.items()}, **values}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     """Return a value in which no container, array, or generator has a tag."""
     if isinstance(value, Mapping) and _TAG in value:
         kind = value[_TAG]

@@ -145,7 +145,7 @@ def section_errors(path: str, node: Mapping[str, object], options: type) -> list
     return [ConfigError(b.message, key=".".join(filter(None, (path, b.key))), expected=b.expected) for b in broken]
 
 
-def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
+def _value_errors(key: str, value: object, annotation: object) -> list[ConfigError]:
     if isinstance(value, Mapping) and (nested := dataclass_of(annotation, value)) is not None:
         return section_errors(key, value, nested)
     named = _dataclass_of_values(annotation)
@@ -154,19 +154,19 @@ def _value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
     return value_errors(key, value, annotation)
 
 
-def dataclass_of(annotation: Any, node: Mapping[str, object]) -> Any | None:
+def dataclass_of(annotation: object, node: Mapping[str, object]) -> Any | None:
     """Return the dataclass of the config section ``node``, which a type annotation names; None without a dataclass."""
     found = dataclass_in(annotation)
     choose = getattr(found, "of_section", None)  # The algorithm in `agent` decides which keys `agent` has.
     return found if choose is None else choose(node)
 
 
-def _dataclass_of_values(annotation: Any) -> Any | None:
+def _dataclass_of_values(annotation: object) -> Any | None:
     values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
     return next((value for value in values if dataclass_in(value) is not None), None)
 
 
-def dataclass_in(annotation: Any) -> type | None:
+def dataclass_in(annotation: object) -> type | None:
     """Return the dataclass that a type annotation names; None if the annotation names no dataclass."""
     kinds = (option for option in options_in(annotation) if isinstance(option, type))
     return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
@@ -186,7 +186,7 @@ def _instance(options: type[_Options], node: Mapping[str, object]) -> _Options:
     return options(**{name: _read_value(value, keys[name].annotation) for name, value in node.items()})
 
 
-def _read_value(value: object, annotation: Any) -> Any:
+def _read_value(value: object, annotation: object) -> Any:
     if not isinstance(value, Mapping):
         return value
     if (nested := dataclass_of(annotation, value)) is not None:

@@ -32,7 +32,7 @@ class Misfit:
     is_type: bool = False  # ``is_type`` is True if the value has a wrong type.
 
 
-def fits(value: Any, annotation: Any) -> bool:
+def fits(value: object, annotation: object) -> bool:
     """Return whether a value from YAML has the type that an annotation names.
 
     For example, an int fits the annotation ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. If
@@ -41,7 +41,7 @@ def fits(value: Any, annotation: Any) -> bool:
     return not misfits(value, annotation)
 
 
-def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
+def value_errors(key: str, value: object, annotation: object) -> list[ConfigError]:
     """Return the mistakes in the value at a config key; each mistake has the full config key of the wrong value."""
     errors = []
     for found in misfits(value, annotation):
@@ -52,7 +52,7 @@ def value_errors(key: str, value: Any, annotation: Any) -> list[ConfigError]:
     return errors
 
 
-def require_fit(key: str, value: Any, annotation: Any) -> None:
+def require_fit(key: str, value: object, annotation: object) -> None:
     """Raise a ConfigError for the first mistake in a config value."""
     for error in value_errors(key, value, annotation):
         raise error
@@ -106,19 +106,19 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
 
 
-def constraints_of(annotation: Any) -> list[Constraint[Any]]:
+def constraints_of(annotation: object) -> list[Constraint[Any]]:
     """Return the constraints of a type annotation, without the constraints of its element types or union options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
-def constraints_in(annotation: Any) -> list[Constraint[Any]]:
+def constraints_in(annotation: object) -> list[Constraint[Any]]:
     """Return all constraints in a type annotation, also those of list elements and union members."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
 
-def bare(annotation: Any) -> Any:
+def bare(annotation: object) -> Any:
     """Return a type annotation without the outermost constraints; constraints of element types remain."""
     return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
 
@@ -132,7 +132,9 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 }
 
 
-def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[Constraint[Any]]) -> list[Misfit]:
+def _constrained(
+    value: object, annotation: object, inner: object, constraints: Sequence[Constraint[Any]]
+) -> list[Misfit]:
     is_infinite = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     has_nodes = any(isinstance(c, OfNodes) for c in constraints) and isinstance(value, Mapping)
     found = [] if is_infinite or has_nodes else misfits(value, inner)
@@ -146,7 +148,7 @@ def _constrained(value: Any, annotation: Any, inner: Any, constraints: Sequence[
     return [] if broken is None else [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
 
 
-def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tuple[Any, ...]) -> list[Misfit]:
+def _of_elements(value: Sequence[object], annotation: object, kind: object, arguments: tuple[Any, ...]) -> list[Misfit]:
     if not arguments:
         return []
     each = arguments if kind is tuple and Ellipsis not in arguments else arguments[:1] * len(value)
@@ -159,7 +161,7 @@ def _of_elements(value: Sequence[Any], annotation: Any, kind: Any, arguments: tu
     return [_out_of_range(value, expected)] if found else []
 
 
-def _wrong_type(value: Any, annotation: Any) -> Misfit:
+def _wrong_type(value: object, annotation: object) -> Misfit:
     choices = (option for option in options_in(annotation) if typing.get_origin(option) is typing.Literal)
     words = [str(word) for choice in choices for word in typing.get_args(choice)]
     nearest = nearest_name(str(value), words)
@@ -167,19 +169,19 @@ def _wrong_type(value: Any, annotation: Any) -> Misfit:
     return Misfit(f"{value!r} {what}", describe(annotation), nearest=nearest, is_type=True)
 
 
-def _out_of_range(value: Any, expected: str) -> Misfit:
+def _out_of_range(value: object, expected: str) -> Misfit:
     return Misfit(f"{value!r} is out of range", expected)
 
 
 # --- annotation texts ---
 
 
-def describe(annotation: Any) -> str:
+def describe(annotation: object) -> str:
     """Return a type annotation and the annotation's constraints as text."""
     return ", ".join((type_words(annotation), *limit_words(annotation)))
 
 
-def limit_words(annotation: Any) -> tuple[str, ...]:
+def limit_words(annotation: object) -> tuple[str, ...]:
     """Return the constraints of a type annotation as texts, such as ``at least 0``."""
     constraints = constraints_of(annotation)
     words = tuple(c.words() for c in constraints if c.words())
@@ -193,7 +195,7 @@ def limit_words(annotation: Any) -> tuple[str, ...]:
 _NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a path"}
 
 
-def type_words(annotation: Any) -> str:
+def type_words(annotation: object) -> str:
     """Return the type in an annotation as words for users, without the annotation's constraints."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is None or annotation is type(None):
@@ -218,7 +220,7 @@ def type_words(annotation: Any) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def options_in(annotation: Any) -> Iterator[Any]:
+def options_in(annotation: object) -> Iterator[Any]:
     """Yield the type of an annotation, or each member type of a union annotation, without ``Annotated`` constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):

@@ -159,7 +159,7 @@ def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
     return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]
 
 
-def split_node(kind: str, path: str, node: Any) -> TermNode:
+def split_node(kind: str, path: str, node: object) -> TermNode:
     """Split a term's config into fields for the manager, such as ``weight``, and parameters for the function.
 
     ``kind`` is the name of the config section that contains the term, such as ``rewards``.
@@ -184,7 +184,7 @@ def split_node(kind: str, path: str, node: Any) -> TermNode:
     return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)
 
 
-def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+def walk_nodes(node: object, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield ``(path, mapping)`` for each mapping in a config; a path is like ``a.b``, or ``a[0].b`` in a list."""
     if isinstance(node, Mapping):
         yield path, node
@@ -195,7 +195,7 @@ def walk_nodes(node: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, An
             yield from walk_nodes(value, f"{path}[{index}]")
 
 
-def target_arguments(node: Mapping[str, Any], path: str) -> dict[str, Any]:
+def target_arguments(node: Mapping[str, object], path: str) -> dict[str, Any]:
     """Return the keyword arguments in a ``_target_`` node, which are all keys except ``_target_``."""
     for key in node:
         if key in _HYDRA_ONLY:
@@ -236,7 +236,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     return found
 
 
-def resolve_class(name: Any) -> Any:
+def resolve_class(name: object) -> Any:
     """Return the class or function that a ``class_name`` in an agent config names, or None if the name does not exist.
 
     Raise ConfigError if rsl_rl cannot import the module that ``class_name`` names.

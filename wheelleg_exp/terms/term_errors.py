@@ -137,13 +137,13 @@ def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
             yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
 
 
-def has_target(value: Any) -> bool:
+def has_target(value: object) -> bool:
     """Return whether a config value contains the key ``_target_`` at any depth."""
     return any(binding.TARGET in node for _, node in binding.walk_nodes(value))
 
 
 @contextmanager
-def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
+def blamed(path: str, part: object, *, has_worked: bool = False) -> Iterator[None]:
     """Convert an exception in the code of a scene part, such as a sensor, into an error at the config key ``path``.
 
     The error is a ConfigError, or, if ``has_worked`` is True, a SimulationFailure.
@@ -157,13 +157,13 @@ def blamed(path: str, part: Any, *, has_worked: bool = False) -> Iterator[None]:
         raise converted from error
 
 
-def dotted_name(part: Any) -> str:
+def dotted_name(part: object) -> str:
     """Return the dotted name of an object's class."""
     return f"{type(part).__module__}.{type(part).__qualname__}"
 
 
 def failure(
-    error: BaseException, path: str, target: str, code: Any, *, has_worked: bool, what: str = "a term"
+    error: BaseException, path: str, target: str, code: object, *, has_worked: bool, what: str = "a term"
 ) -> BaseException:
     """Convert an exception from the code of a term at the config key ``path`` into an error with key, file, and line.
 
@@ -193,7 +193,7 @@ def placed(error: ConfigError, path: str) -> ConfigError:
     return found
 
 
-def code_place(code: Any) -> str | None:
+def code_place(code: object) -> str | None:
     """Return the file and line of a function or of an object's class; None if the source code is unknown."""
     found = _definition(code)
     try:
@@ -203,11 +203,11 @@ def code_place(code: Any) -> str | None:
     return show_file(Path(file), line) if file else None
 
 
-def _definition(code: Any) -> Callable[..., Any]:
+def _definition(code: object) -> Callable[..., Any]:
     return code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
 
 
-def _line_of(error: BaseException, code: Any) -> str | None:
+def _line_of(error: BaseException, code: object) -> str | None:
     try:
         file = inspect.getsourcefile(_definition(code))
     except TypeError:
@@ -216,7 +216,7 @@ def _line_of(error: BaseException, code: Any) -> str | None:
     return show_file(Path(file), lines[-1]) if file and lines and lines[-1] else None
 
 
-def described(value: Any) -> str:
+def described(value: object) -> str:
     """Return a short text for a value: the shape of a tensor or an array, otherwise the type and the value."""
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple):

@@ -138,7 +138,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= 40 else text[:40] + "..."
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return a value without USD types: numbers, text, tuples, quaternions (w, x, y, z), arrays."""
     if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
         return value

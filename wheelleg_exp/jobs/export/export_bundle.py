@@ -269,7 +269,7 @@ def _fill(
     return differences, notes
 
 
-def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[str, list[float]]]:
+def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, object]) -> dict[str, dict[str, list[float]]]:
     """Return the command ranges at the end of training, which a curriculum may have widened."""
     found: dict[str, dict[str, list[float]]] = {}
     for name in env.command_manager.active_terms:
@@ -280,7 +280,7 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, Any]) -> dict[str, dict[
     return found
 
 
-def _require_unchanged(state: Mapping[str, Any]) -> None:
+def _require_unchanged(state: Mapping[str, object]) -> None:
     """Raise ConfigError if a curriculum changed settings of action terms or observation terms during training."""
     managers = checkpoints.env_state(state).get("managers", {})
     terms = {f"env.actions.{name}": term for name, term in managers.get("actions", {}).get("terms", {}).items()}
@@ -312,7 +312,7 @@ def _readings_csv(spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> str:
 
 
 def _write_robot(
-    folder: Path, mjcf: Path, params: Mapping[str, Any], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
+    folder: Path, mjcf: Path, params: Mapping[str, object], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
 ) -> list[str]:
     """Write the robot and its scene as MJCF files; return notes about parts that ``simulate.py`` cannot simulate."""
     with for_people(folder):

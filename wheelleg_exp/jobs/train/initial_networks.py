@@ -78,7 +78,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)), found.further)
 
 
-def _compare_networks(found: Fit, was: Any, now: Any, key: str, of: str) -> None:
+def _compare_networks(found: Fit, was: object, now: object, key: str, of: str) -> None:
     for change in changes(was or {}, now or {}, same):
         if change.keys != ("distribution_cfg", "init_std"):  # The checkpoint's learned action std replaces init_std.
             _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
@@ -135,11 +135,11 @@ def _both_values(change: Change, of: str) -> str:
     return f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
 
 
-def _describe_change(key: str, was: Any, now: Any) -> str:
+def _describe_change(key: str, was: object, now: object) -> str:
     return f"{key} was {_shorten(was)} and is {_shorten(now)}"
 
 
-def _shorten(value: Any) -> str:
+def _shorten(value: object) -> str:
     return "nothing" if value is ABSENT else shorten(value)
 
 

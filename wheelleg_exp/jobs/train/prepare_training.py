@@ -130,8 +130,8 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
 def create_run(
     recipe: Recipe,
     trainer: Trainer,
-    threads: Mapping[str, Any],
-    rank_facts: Mapping[str, Any] | None,
+    threads: Mapping[str, object],
+    rank_facts: Mapping[str, object] | None,
     command: Sequence[str],
     display: Display,
 ) -> tuple[RunDirectory, Manifest]:

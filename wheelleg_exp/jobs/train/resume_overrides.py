@@ -69,7 +69,7 @@ def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None)
     return {**earlier, "env": upgrade_env_params(env), "agent": agent}
 
 
-def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
+def change_settings(recorded: Mapping[str, object], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
     """Apply the overrides of a resume; return the new config and its changes, or raise ConfigError for a fixed key."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
@@ -83,7 +83,7 @@ def change_settings(recorded: Mapping[str, Any], overrides: Sequence[str]) -> tu
     return tree, found
 
 
-def _same_value(was: Any, now: Any) -> bool:
+def _same_value(was: object, now: object) -> bool:
     return type(was) is type(now) and bool(was == now)
 
 
@@ -106,7 +106,7 @@ def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mappi
         _require_same_terms(change, recorded["env"][section], tree["env"].get(section))
 
 
-def _require_same_terms(change: Change, recorded: Mapping[str, object], now: Any) -> None:
+def _require_same_terms(change: Change, recorded: Mapping[str, object], now: object) -> None:
     if not isinstance(now, Mapping) or list(now) != list(recorded):
         raise _refusal(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
     if change.keys[3:] in ((), ("_target_",), ("mode",)):

@@ -14,7 +14,6 @@ import sysconfig
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.files import sha256
@@ -82,7 +81,7 @@ def _packages_called(config: Mapping[str, object]) -> list[str]:
     return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
 
 
-def _called_names(node: Any) -> Iterator[str]:
+def _called_names(node: object) -> Iterator[str]:
     if isinstance(node, Mapping):
         for key, value in node.items():
             if key in _CALLS and isinstance(value, str):
@@ -111,7 +110,7 @@ def _package_root(name: str) -> Path | None:
     return places[0] if places else (Path(spec.origin) if spec.has_location and spec.origin else None)
 
 
-def _places(module: Any) -> list[Path]:
+def _places(module: object) -> list[Path]:
     folders = [Path(place) for place in getattr(module, "__path__", ()) if isinstance(place, str)]
     file = getattr(module, "__file__", None)
     found = folders or ([Path(file)] if isinstance(file, str) else [])
@@ -129,7 +128,7 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
     return list({path.resolve(): path for path in reversed(list(paths))}.values())[::-1]
 
 
-def shorten(value: Any) -> str:
+def shorten(value: object) -> str:
     """Return ``value`` as a text of at most 60 characters."""
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
