@@ -173,18 +173,17 @@ def test_a_captured_reset_draws_from_the_present_ranges():
 
 def test_a_reset_has_a_recording_for_each_number_of_environments_that_occurs_often(monkeypatch):
     monkeypatch.setattr("wheelleg_exp.env.graph_capture._RESET_RECORDINGS", 2)
-    monkeypatch.setattr("wheelleg_exp.env.graph_capture._WINDOW", 10)
+    monkeypatch.setattr("wheelleg_exp.env.graph_capture._CALLS_PER_RECORDING", 3)
     plain, env = pair()
     found = []
-    for count in (9, 9, 9, 9, 7, 7, 7, 3, 3, 3, 3, 3, 3, 2, 1, 2, 2):
+    for count in (9, 9, 9, 9, 7, 7, 7, 3, 3, 3, 3, 3, 9, 3):
         for each in (plain, env):
             each._reset_idx(torch.arange(count))
         found.append(counts(resets(env)))
         assert torch.equal(env.scene.sim.state, plain.scene.sim.state)
-    assert found[6] == [7, 9]
-    assert found[9] == [7, 9]  # The sizes 3 and 7 occurred equally often, so no recording is replaced.
-    assert found[12] == [3, 7] or found[12] == [3, 9]
-    assert sum(resets(env)._counts.values()) == 10
+    assert found[6] == found[9] == [7, 9]
+    assert found[11] == [3, 7]  # The recording for 9 environments was not used in six calls.
+    assert found[13] == [3, 7]
 
 
 @pytest.mark.parametrize("words", [[], ["env.realism.exact_share=0.5", "env.realism.actions.prompt_share=0.25"]])

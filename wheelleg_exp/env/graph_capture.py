@@ -22,11 +22,11 @@ import functools
 import itertools
 import operator
 import warnings
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass
 from numbers import Number
-from typing import Any, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -44,8 +44,9 @@ from wheelleg_exp.state.values import PLAIN, Unsaveable, encoded, same
 _RUNS_BEFORE_CAPTURE = 2
 # Record at most 8 CUDA graphs per method, and 128 for the reset: one per number of reset environments.
 _RECORDINGS, _RESET_RECORDINGS = 8, 128
-# Count how often each combination of values occurred among a method's last 1024 calls.
-_WINDOW = 1024
+# Recording costs several runs as Python code. So forget a key that did not occur among the last 16 x 8 calls (16 x 128
+# for the reset), and replace only a CUDA graph that was not used in these calls.
+_CALLS_PER_RECORDING = 16
 # Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
 _MOST_MISMATCHES = 64
@@ -133,43 +134,32 @@ class CudaGraph:
 
 
 class Slot(NamedTuple):
-    """A place of a declared value: an attribute of ``owner``, or an entry of a dictionary or list in this attribute."""
+    """A place of a declared value: an attribute of a part, or an entry of a dictionary or list in this attribute."""
 
-    owner: Any
     holder: Any
     key: Any
-    name: str
+    label: str
     is_buffer: bool
 
     @property
-    def id(self) -> tuple[int, Any]:
+    def id(self) -> tuple[int, object]:
         """The identity of the place."""
         return id(self.holder), self.key
 
     @property
-    def value(self) -> Any:
+    def value(self) -> object:
         """The present value; the entry of a dictionary or list may be missing, which gives None."""
         try:
             return self.holder[self.key]
         except LookupError:
             return None
 
-    def __str__(self) -> str:
-        return f"'{self.name}' of {getattr(self.owner, 'path', type(self.owner).__name__)}"
 
-
-def slots(owner: object) -> Iterator[Slot]:
-    """Yield the declared attributes of an object, and the entries of dictionaries and lists in them."""
-    for name, declared in declarations(owner).items():
-        if declared.kind != "part":
-            yield from _slots_in(owner, vars(owner), name, name, declared.kind == "buffer")
-
-
-def _slots_in(owner: object, holder: Any, key: Any, name: str, is_buffer: bool) -> Iterator[Slot]:
-    yield Slot(owner, holder, key, name, is_buffer)
+def _slots_in(holder: Any, key: object, name: str, owner: str, is_buffer: bool) -> Iterator[Slot]:
+    yield Slot(holder, key, f"'{name}' of {owner}", is_buffer)
     if isinstance(value := holder[key], (dict, list)):
         for inner in list(value) if isinstance(value, dict) else range(len(value)):
-            yield from _slots_in(owner, value, inner, f"{name}.{inner}", is_buffer)
+            yield from _slots_in(value, inner, f"{name}.{inner}", owner, is_buffer)
 
 
 class Values:
@@ -180,28 +170,33 @@ class Values:
 
     Attributes:
         is_checked: whether no code that may change settings has run since the settings were last compared.
-        generation: how often the method ``add_flags`` has found a new flag.
         rebound: the ids of slots to which a captured method assigns another tensor.
     """
 
     def __init__(self, root: object) -> None:
         self.root = root
         self.is_checked = False
-        self.generation = 0
-        self.rebound = set[tuple[int, Any]]()
-        self._statics: dict[tuple[int, Any], torch.Tensor] = {}
-        self._flags: dict[tuple[int, Any], Slot] = {}
+        self.rebound = set[tuple[int, object]]()
+        self._statics: dict[tuple[int, object], torch.Tensor] = {}
+        self._flags: dict[tuple[int, object], Slot] = {}
         self._settings: list[Slot] = []
         self._places: list[tuple[Any, Any]] = []
-        self._present: list[Any] = []
-        self._sizes: list[tuple[Any, int]] = []
-        self._known: dict[Key, int] = {}
+        self._present: list[object] = []
+        self._sizes: list[tuple[Sized, int]] = []
+        self._known: dict[Key, tuple[int, list[object]]] = {}
         self._number, self._numbers = -1, itertools.count()
 
     def slots(self) -> list[Slot]:
         """Return the slots of the environment and its parts, except event terms whose mode is not ``reset``."""
-        parts = {id(part): part for _, part in tree(self.root) if not _runs_outside(part)}
-        return [slot for part in parts.values() for slot in slots(part)]
+        found: list[Slot] = []
+        for part in {id(part): part for _, part in tree(self.root)}.values():
+            # No CUDA graph runs an event term that runs outside of resets.
+            if not isinstance(part, Term) or part.fields.get("mode", "reset") == "reset":
+                owner = getattr(part, "path", type(part).__name__)
+                for name, declared in declarations(part).items():
+                    if declared.kind != "part":
+                        found += _slots_in(vars(part), name, name, owner, declared.kind == "buffer")
+        return found
 
     def key(self) -> Key:
         """Return the key of a CUDA graph: a number for the values of all settings, and the values of all flags."""
@@ -210,20 +205,18 @@ class Values:
             self.is_checked = True
         return self._number, tuple([kind_of(slot.value) for slot in self._flags.values()])
 
-    def add_flags(self, found: Sequence[Slot]) -> None:
-        """Include the slots ``found`` in the keys of CUDA graphs."""
-        new = {slot.id: slot for slot in found if slot.id not in self._flags}
-        if new:
+    def add_flags(self, found: Iterable[Slot]) -> None:
+        """Include the slots ``found`` in the keys of CUDA graphs. CUDA graphs with older keys are used no more."""
+        if new := {slot.id: slot for slot in found if slot.id not in self._flags}:
             self._flags |= new
-            self.generation += 1
             self.is_checked, self._settings = False, []
 
     def difference(self, before: Key, now: Key) -> str:
-        """Return the name of a slot that has different values in the CUDA graph keys ``before`` and ``now``."""
-        known = {number: settings for settings, number in self._known.items()}
+        """Return the label of a slot that has different values in the CUDA graph keys ``before`` and ``now``."""
+        known = {number: settings for settings, (number, _) in self._known.items()}
         pairs = [*zip(self._settings, known.get(before[0], ()), known.get(now[0], ()), strict=False)]
         pairs += zip(self._flags.values(), before[1], now[1], strict=False)
-        return next((str(slot) for slot, was, value in pairs if was != value), "the set of values")
+        return next((slot.label for slot, was, value in pairs if was != value), "the set of values")
 
     def _check(self) -> None:
         """Set ``_number``, which identifies the combination of the settings' values.
@@ -231,47 +224,54 @@ class Values:
         Most calls find no change and must be fast, so ``_check`` first compares the identities of the values.
         """
         before = self._present
-        if not self._settings or any([len(one) != size for one, size in self._sizes]):
-            self._find_settings()
         try:
             now = [holder[key] for holder, key in self._places]
+            is_same = bool(self._settings) and not any([len(one) != size for one, size in self._sizes])
         except LookupError:
-            self._find_settings()
-            now = self._present
-        if self._present is before and all(map(operator.is_, now, before)):
+            is_same = False
+        if is_same and all(map(operator.is_, now, before)):
             return
-        changed = (was for was, value in zip(self._present, now, strict=True) if was is not value)
-        if any(isinstance(was, (dict, list)) for was in changed):
-            self._find_settings()  # Code has replaced a dictionary or list.
-            now = self._present
+        # Find the settings again if code has changed the size of a dictionary or list, or has replaced one.
+        containers = (number for number, was in enumerate(before) if isinstance(was, (dict, list)))
+        if not is_same or any(now[number] is not before[number] for number in containers):
+            self._find_settings()
+            now = [slot.value for slot in self._settings]
         self._present = now
         settings = tuple([kind_of(value) for value in now])
-        # Re-insert the used entry at the end of ``_known``, so that the first entry is the least recently used one.
-        self._number = self._known.pop(settings, next(self._numbers))
-        self._known[settings] = self._number
+        # Re-insert the used entry at the end of ``_known``, so that the first entry is the least recently used one. The
+        # values are stored, too, because a key contains the ids of some of them.
+        self._number = self._known.pop(settings, (next(self._numbers), now))[0]
+        self._known[settings] = self._number, now
         if len(self._known) > _MOST_KNOWN:
             del self._known[next(iter(self._known))]
 
     def _find_settings(self) -> None:
-        found = [slot for slot in self.slots() if slot.id not in self._flags]
-        found = [slot for slot in found if not (slot.is_buffer and isinstance(slot.value, (dict, list)))]
-        self._settings = [slot for slot in found if not isinstance(slot.value, torch.Tensor)]
+        self._settings, self._sizes = [], []
+        for slot in self.slots():
+            value = slot.value
+            is_buffer = isinstance(value, torch.Tensor) or (slot.is_buffer and isinstance(value, (dict, list)))
+            if slot.id not in self._flags and not is_buffer:
+                self._settings.append(slot)
+                self._sizes += [(value, len(value))] if isinstance(value, (dict, list)) else []
         self._places = [(slot.holder, slot.key) for slot in self._settings]
-        self._present = [slot.value for slot in self._settings]
-        self._sizes = [(value, len(value)) for value in self._present if isinstance(value, (dict, list))]
 
-    def move_rebound(self, found: Sequence[Slot]) -> None:
+    def move_rebound(self, found: Iterable[Slot]) -> None:
         """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
             for slot in (slot for slot in found if slot.id in self.rebound):
                 value, static = slot.value, self._statics.get(slot.id)
                 if isinstance(value, torch.Tensor) and static is not value:
-                    if static is not None and form_of(static) == form_of(value):
+                    if static is not None and _fits(static, value):
                         static.copy_(value.clone())
                     else:
                         static = self._statics[slot.id] = value.detach().clone()
                     slot.holder[slot.key] = static
+
+
+def _memory(tree: object) -> set[int]:
+    """Return the addresses of the storages of all tensors in a nested structure; all views of a tensor share one."""
+    return {leaf.untyped_storage().data_ptr() for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)}
 
 
 class TouchedMemory(TorchDispatchMode):
@@ -279,53 +279,29 @@ class TouchedMemory(TorchDispatchMode):
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
-        self._memory = set[int]()
+        self.addresses = set[int]()
 
     def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         del types
         result = operation(*args, **(kwargs or {}))
-        self.note((args, kwargs, result))
+        self.addresses |= _memory((args, kwargs, result))
         return result
 
-    def note(self, tree: object) -> None:
-        """Record the memory addresses of all tensors in a nested structure."""
-        leaves = (leaf for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor))
-        # Record the address of each tensor's storage, because all views of a tensor share its storage.
-        self._memory |= {leaf.untyped_storage().data_ptr() for leaf in leaves}
 
-    def has(self, tensor: torch.Tensor) -> bool:
-        """Return whether a torch operation has read or written the memory of a tensor."""
-        return tensor.untyped_storage().data_ptr() in self._memory
-
-
-def _runs_outside(part: object) -> bool:
-    """Return whether a part is an event term that runs outside of resets; no CUDA graph runs such terms."""
-    return isinstance(part, Term) and part.fields.get("mode", "reset") != "reset"
-
-
-def form_of(value: object) -> Any:
+def form_of(value: object) -> object:
     """Return the shape, dtype, and device of a tensor; return a value of another type unchanged."""
     return (value.shape, value.dtype, value.device) if isinstance(value, torch.Tensor) else value
 
 
-def kind_of(value: object) -> Any:
+def _fits(value: object, old: torch.Tensor) -> TypeGuard[torch.Tensor]:
+    return isinstance(value, torch.Tensor) and form_of(value) == form_of(old)
+
+
+def kind_of(value: object) -> object:
     """Return what a CUDA graph depends on in a value: its type, and a plain value or the form of a tensor."""
     if is_plain(value) or isinstance(value, torch.Tensor):
         return type(value), form_of(value)
-    return _Identity(value) if isinstance(value, tuple) else type(value)
-
-
-@dataclass(eq=False)
-class _Identity:
-    """A key that compares objects by identity, and keeps its object alive, so that the id stays unique."""
-
-    value: object
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identity) and self.value is other.value
-
-    def __hash__(self) -> int:
-        return id(self.value)
+    return id(value) if isinstance(value, tuple) else type(value)
 
 
 def is_plain(value: object) -> bool:
@@ -343,12 +319,12 @@ def _frame(value: object) -> object:
         return id(value)
 
 
-def copy_tensors(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
+def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
     """Copy the second tensor of each pair into the first; tensors of different pairs may share memory."""
-    targets = {static.untyped_storage().data_ptr() for static, _ in pairs}
-    copies = [(static, v.clone() if v.untyped_storage().data_ptr() in targets else v) for static, v in pairs]
-    for static, value in copies:
-        static.copy_(value)
+    targets = _memory([static for static, _ in pairs])
+    copies = [(static, now if targets.isdisjoint(_memory(now)) else now.clone()) for static, now in pairs]
+    for static, now in copies:
+        static.copy_(now)
 
 
 class GraphCapture:
@@ -394,19 +370,19 @@ class Recording:
 
     Attributes:
         buffers: the slots of the tensors that the method reads or writes, and the CUDA graph's tensor for each slot.
-        containers: the dictionaries and lists that hold these slots, and the slots of the containers themselves.
-        assigned: the slots to which the method assigns a value, and the assigned values.
-        filled: the dictionaries that the method fills, and their entries.
+        containers: the slots of the dictionaries and lists that hold these slots, and these dictionaries and lists.
+        assigned: the places to which the method assigns a value: the holder, the key, and the value.
         output: the result of the method, in the memory of the CUDA graph.
+        used: the number of the method's call that last used the CUDA graph.
     """
 
     graph: Graph
-    inputs: list[Any]
+    inputs: list[object]
     buffers: list[tuple[Slot, torch.Tensor]]
-    containers: list[tuple[Slot, Any]]
-    assigned: list[tuple[Slot, Any]]
-    filled: list[tuple[dict[Any, Any], dict[Any, Any]]]
+    containers: list[tuple[Slot, object]]
+    assigned: list[tuple[Any, Any, object]]
     output: Any
+    used: int = 0
 
     def __post_init__(self) -> None:
         self._places = [(slot.holder, slot.key, static) for slot, static in self.buffers]
@@ -414,33 +390,31 @@ class Recording:
         # Other values cannot be copied into a tensor whose memory several slots use.
         self._shared = {id(s) for _, s in self.buffers if counts[s.untyped_storage().data_ptr()] > 1}
 
-    def load(self, args: tuple[Any, ...]) -> list[Slot]:
-        """Copy buffers and arguments to the CUDA graph's tensors; return the slots whose values do not fit."""
-        if replaced := [slot for slot, container in self.containers if slot.value is not container]:
-            return replaced
+    def load(self, args: tuple[object, ...]) -> str | None:
+        """Copy buffers and arguments to the CUDA graph's tensors; return the label of a slot that does not fit."""
+        for slot, container in self.containers:
+            if slot.value is not container:
+                return slot.label
         try:
             moved = [(place, now) for place in self._places if (now := place[0][place[1]]) is not place[2]]
         except LookupError:
-            return [slot for slot, _ in self.buffers if slot.value is None]
-        wrong = {id(s) for (_, _, s), now in moved if id(s) in self._shared or form_of(now) != form_of(s)}
-        if wrong:
-            return [slot for slot, static in self.buffers if id(static) in wrong]
-        copy_tensors([(static, now) for (_, _, static), now in moved])
+            return next(slot.label for slot, _ in self.buffers if slot.value is None)
+        for (_, _, static), now in moved:
+            if id(static) in self._shared or not _fits(now, static):
+                return next(slot.label for slot, known in self.buffers if known is static)
+        _copy([(static, now) for (_, _, static), now in moved])
         for (holder, key, static), _ in moved:
             holder[key] = static
-        for static, now in zip(self.inputs, args, strict=True):
-            if isinstance(static, torch.Tensor):
-                static.copy_(now)
-        return []
+        for arg, now in zip(self.inputs, args, strict=True):
+            if isinstance(arg, torch.Tensor) and isinstance(now, torch.Tensor):
+                arg.copy_(now)
+        return None
 
     def replay(self) -> Any:
         """Replay the CUDA graph, and repeat the method's assignments, which are not part of the graph."""
         self.graph.replay()
-        for dictionary, content in self.filled:
-            dictionary.clear()
-            dictionary.update(content)
-        for slot, value in self.assigned:
-            slot.holder[slot.key] = value
+        for holder, key, value in self.assigned:
+            holder[key] = value
         return self.output
 
 
@@ -466,12 +440,13 @@ class CapturedPart:
     ) -> None:
         self._work, self._values, self._make_graph = work, values, make_graph
         self._reset_caches, self._streams, self.is_reset = reset_caches, streams, is_reset
+        # Both dictionaries are ordered by use: their first keys are the least recently used ones.
         self.recordings: dict[Key, Recording] = {}
+        self._times: dict[Key, int] = {}
         self.fails = False
-        self._generation = values.generation
-        self._recent, self._counts = deque[Key](), Counter[Key]()
         self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
-        self._checked: set[Key] = set()
+        self._calls = 0
+        self._checked = set[Key]()
         self._drawn: list[torch.Generator] = []
         self._mismatches, self._missed = 0, 0
         self._last: Key = (-1, ())
@@ -481,79 +456,56 @@ class CapturedPart:
         self._reset_caches()
         if self.fails:
             return self._run(args)
+        self._calls += 1
         state = self._values.key()
-        if self._generation != self._values.generation:
-            # Delete all CUDA graphs recorded so far, because ``Values.key`` now includes the values of more attributes.
-            self._generation = self._values.generation
-            self.recordings.clear()
-            self._checked.clear()
         key = (*(form_of(arg) for arg in args), *state)
-        count = self._count(key)
-        recording = self.recordings.get(key)
-        if recording is None and not self._is_worth(key, count):
-            is_second = not self._checked and len(self._recent) == _RUNS_BEFORE_CAPTURE
-            if is_second or (count >= _RUNS_BEFORE_CAPTURE and state not in self._checked):
-                return self._run_checked(args, state)
-            self._warn_of_changes(key)
-            return self._run(args)
+        recording = self.recordings.pop(key, None)
         if recording is None:
+            # Re-insert the key at the end of ``_times``, and forget the least recently used key.
+            times = self._times[key] = self._times.pop(key, 0) + 1
+            if len(self._times) > _CALLS_PER_RECORDING * self._room:
+                del self._times[next(iter(self._times))]
+            is_due = times >= _RUNS_BEFORE_CAPTURE or (self._calls >= _RUNS_BEFORE_CAPTURE and not self._checked)
+            if is_due and state not in self._checked:
+                return self._run_checked(args, state)
+            if times <= _RUNS_BEFORE_CAPTURE or not self._has_room():
+                self._warn_of_changes(state)
+                return self._run(args)
             recording = self._try_to_record(args)
             if recording is None:
                 self._reset_caches()
                 return self._run(args)
-            if self._generation == self._values.generation:
-                # Store the graph only if ``Values.key`` already contained every attribute that the recording changed.
-                if len(self.recordings) >= self._room:
-                    del self.recordings[self._rarest()]
-                self.recordings[key] = recording
+            del self._times[key]
+            if len(self.recordings) >= self._room:
+                del self.recordings[next(iter(self.recordings))]
         elif unfit := recording.load(args):
-            self._drop(key, unfit)
+            self._mismatches += 1
+            if self._mismatches > _MOST_MISMATCHES:
+                self._give_up(f"{unfit} holds other memory again and again")
             return self._run(args)
+        self.recordings[key], recording.used = recording, self._calls
         self._missed -= self._missed > 0
-        self._last = key
+        self._last = state
         output = recording.replay()
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
-    def _run(self, args: tuple[Any, ...]) -> Any:
+    def _run(self, args: tuple[object, ...]) -> Any:
         self._values.is_checked = False  # Python code may change any attribute of the environment.
         return self._work(*args)
 
-    def _count(self, key: Key) -> int:
-        """Record a call with the attribute values ``key``; return how many of the last 1024 calls had these values."""
-        self._recent.append(key)
-        self._counts[key] += 1
-        if len(self._recent) > _WINDOW:
-            oldest = self._recent.popleft()
-            self._counts[oldest] -= 1
-            if not self._counts[oldest]:
-                del self._counts[oldest]
-        return self._counts[key]
+    def _has_room(self) -> bool:
+        """Return whether there is room for a CUDA graph, or the least recently used one has not been used for long."""
+        if len(self.recordings) < self._room:
+            return True
+        oldest = next(iter(self.recordings.values()))
+        return self._calls - oldest.used > _CALLS_PER_RECORDING * self._room
 
-    def _is_worth(self, key: Key, count: int) -> bool:
-        """Return whether the attribute values ``key`` occurred often enough to record a CUDA graph for them."""
-        if count <= _RUNS_BEFORE_CAPTURE or key[-2:] not in self._checked:
-            return False
-        # Replace the least used CUDA graph only if ``key`` occurred at least twice as often as the graph's key.
-        return len(self.recordings) < self._room or count >= 2 * self._counts[self._rarest()]
-
-    def _rarest(self) -> Key:
-        return min(self.recordings, key=lambda known: self._counts[known])
-
-    def _drop(self, key: Key, unfit: list[Slot]) -> None:
-        """Delete a CUDA graph, because the tensors of the attributes ``unfit`` do not fit into the graph's memory."""
-        del self.recordings[key]
-        self._values.add_flags(unfit)
-        self._mismatches += 1
-        if self._mismatches > _MOST_MISMATCHES:
-            self._give_up(f"{unfit[0]} holds other memory again and again")
-
-    def _warn_of_changes(self, key: Key) -> None:
+    def _warn_of_changes(self, state: Key) -> None:
         self._missed += 1
         if self._missed == _MANY:
-            changed = self._values.difference(self._last[-2:], key[-2:])
-            self._warn(f"{changed} changes again and again")
+            self._warn(f"{self._values.difference(self._last, state)} changes again and again")
         if not self.recordings:
-            self._last = key
+            self._last = state
 
     def _give_up(self, reason: str) -> None:
         if not self.fails:
@@ -565,34 +517,31 @@ class CapturedPart:
         name = getattr(getattr(self._work, "func", self._work), "__name__", "part").strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
-    def _run_checked(self, args: tuple[Any, ...], state: Key) -> Any:
+    def _run_checked(self, args: tuple[object, ...], state: Key) -> Any:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         values = self._values
         before = [(slot, slot.value, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
         undeclared = UndeclaredChanges(values.root, with_root=True)
-        states = [(stream, stream.get_state()) for stream in self._streams()]
+        streams = [(stream, stream.get_state()) for stream in self._streams()]
         found = self._run(args)
-        moved = [stream for stream, was in states if not torch.equal(stream.get_state(), was)]
+        moved = [stream for stream, was in streams if not torch.equal(stream.get_state(), was)]
         self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
-        flags = []
         for slot, was, frame in before:
             now = slot.value
-            if isinstance(was, torch.Tensor) and isinstance(now, torch.Tensor):
-                if now is not was and form_of(now) == form_of(was):
-                    values.rebound.add(slot.id)
+            if isinstance(was, torch.Tensor) and now is not was and _fits(now, was):
+                values.rebound.add(slot.id)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
-                self._give_up(f"{slot} counts; use a buffer that is changed in place")
+                self._give_up(f"{slot.label} counts; use a buffer that is changed in place")
             elif not slot.is_buffer and not same(_frame(now), frame):
-                self._give_up(f"{slot} changes, and is neither a tensor nor a number")
+                self._give_up(f"{slot.label} changes, and is neither a tensor nor a number")
             elif kind_of(was) != kind_of(now):
-                flags.append(slot)
-        values.add_flags(flags)
+                values.add_flags([slot])
         for owner, name in undeclared.changed():
             self._give_up(f"'{name}' of {type(owner).__name__} changes, and is not declared")
         self._checked.add(state)
         return found
 
-    def _try_to_record(self, args: tuple[Any, ...]) -> Recording | None:
+    def _try_to_record(self, args: tuple[object, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
         # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
         for streams in (self._drawn, self._streams()):
@@ -605,13 +554,11 @@ class CapturedPart:
         self._give_up(reason)
         return None
 
-    def _record(self, args: tuple[Any, ...], graph: Graph) -> Recording:
+    def _record(self, args: tuple[object, ...], graph: Graph) -> Recording:
         values = self._values
-        found = values.slots()
-        values.move_rebound(found)
-        before = [(slot, slot.value) for slot in found]
-        tensors = [(slot, value) for slot, value in before if isinstance(value, torch.Tensor)]
-        contents = [(slot, dict(value)) for slot, value in before if isinstance(value, dict)]
+        values.move_rebound(values.slots())
+        before = {slot.id: (slot, slot.value) for slot in values.slots()}
+        tensors = [(slot, value) for slot, value in before.values() if isinstance(value, torch.Tensor)]
         with torch.inference_mode(False):
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
         touched, outputs = TouchedMemory(), list[Any]()
@@ -625,42 +572,30 @@ class CapturedPart:
                         raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
                 outputs.append(result)
-                _write_back(tensors)
+                # Each replay reads and writes the same memory, so slots must keep their tensors: copy new values there.
+                moved = [(slot, old, now) for slot, old in tensors if _fits(now := slot.value, old) and now is not old]
+                _copy([(old, now) for _, old, now in moved])
+                for slot, old, _ in moved:
+                    slot.holder[slot.key] = old
 
         try:
             graph.record(work)
         except Exception:
             # Restore all values, because a failed capture has assigned tensors whose values no kernel has computed.
-            for slot, content in contents:
-                slot.value.clear()
-                slot.value.update(content)
-            for slot, value in before:
+            for slot in reversed(values.slots()):
+                if slot.id not in before:
+                    del slot.holder[slot.key]
+            for slot, value in before.values():
                 slot.holder[slot.key] = value
             raise
-        assigned = [(slot, slot.value) for slot, value in before if slot.value is not value]
-        values.add_flags([slot for slot, value in before if kind_of(value) != kind_of(slot.value)])
-        filled = [(now, dict(now)) for slot, was in contents if _has_other_entries(now := slot.value, was)]
-        touched.note((outputs, inputs, [value for _, value in assigned], [content for _, content in filled]))
-        buffers = [(slot, value) for slot, value in tensors if touched.has(value)]
+        values.add_flags(slot for slot, value in before.values() if kind_of(value) != kind_of(slot.value))
+        changed = [s for s in values.slots() if s.id not in before or before[s.id][1] is not s.value]
+        assigned = [(slot.holder, slot.key, slot.value) for slot in changed]
+        memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in changed]))
+        buffers = [(slot, value) for slot, value in tensors if not memory.isdisjoint(_memory(value))]
         holders = {id(slot.holder) for slot, _ in buffers}
-        containers = [(slot, value) for slot, value in before if id(value) in holders]
-        return Recording(graph, inputs, buffers, containers, assigned, filled, _frozen(outputs[0]))
-
-
-def _write_back(tensors: Sequence[tuple[Slot, torch.Tensor]]) -> None:
-    """Copy newly assigned tensors into the old tensors of their slots, and assign the old tensors again.
-
-    Each replay of a CUDA graph reads and writes the same memory, so slots must keep their tensors.
-    """
-    present = [(slot, old, slot.value) for slot, old in tensors]
-    moved = [(slot, old, now) for slot, old, now in present if now is not old and form_of(now) == form_of(old)]
-    copy_tensors([(old, now) for _, old, now in moved])
-    for slot, old, _ in moved:
-        slot.holder[slot.key] = old
-
-
-def _has_other_entries(now: object, was: Mapping[Any, Any]) -> bool:
-    return isinstance(now, dict) and (now.keys() != was.keys() or any(now[key] is not was[key] for key in was))
+        containers = [(slot, value) for slot, value in before.values() if id(value) in holders]
+        return Recording(graph, inputs, buffers, containers, assigned, _frozen(outputs[0]))
 
 
 def _frozen(tree: object) -> Any:
