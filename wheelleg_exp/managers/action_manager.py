@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 
@@ -146,7 +146,7 @@ class ActionManager(ManagerBase):
                     term.processed_actions.copy_(present)
         self._is_new = False
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Zero the actions of ``env_ids``."""
         self.action.index_fill_(0, env_ids, 0.0)
         self.prev_action.index_fill_(0, env_ids, 0.0)

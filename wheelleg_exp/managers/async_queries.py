@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 
 class AsyncMaskQuery:
@@ -67,7 +67,7 @@ class AsyncMaskQuery:
         if self._copied:
             self._copied[index].synchronize()
 
-    def _to_device(self, mask: np.ndarray[Any, Any], row: int) -> torch.Tensor:
+    def _to_device(self, mask: NDArray[np.bool_], row: int) -> torch.Tensor:
         (found,) = mask.nonzero()
         if not len(found):
             return self._none

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 
@@ -83,7 +83,7 @@ class CommandTerm(TermBase):
         self.post_process()
         return errors
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self.read_settings()
 
@@ -141,17 +141,16 @@ class CommandManager(ManagerBase):
 
     def get_command(self, name: str) -> torch.Tensor:
         """Return the present command of a command term, (N, k)."""
-        found, term = self.get_term(name), self._terms[name]
+        term = self.get_term_cfg(name)
         with term.blamed():
-            command = found.command
-        if term.form is not None and not term.form.fits(command):
+            command = self._command_terms[name].command
+        if term.form is not None:
             require_form(term.form, command, f"the command of '{term.target}'", term.path, term.func)
         return command
 
     def get_term(self, name: str) -> CommandTerm:
         """Return a command term by name."""
-        if name not in self._command_terms:
-            self.get_term_cfg(name)
+        self.get_term_cfg(name)
         return self._command_terms[name]
 
     def get_active_iterable_terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
@@ -176,7 +175,7 @@ class CommandManager(ManagerBase):
                 term.draws = draws
                 self.step_errors[name] = term.compute(dt)
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Draw new commands, and return the commands' metrics over the episodes that ended."""
         log = {}
         for name, term in self._command_terms.items():
@@ -187,5 +186,5 @@ class CommandManager(ManagerBase):
                 log[f"{group}/{name}/{metric}"] = value
         return log
 
-    def _cells(self, term: Term) -> tuple[Any, ...]:
+    def _cells(self, term: Term) -> tuple[object, ...]:
         return (tuple(self._command_terms[term.name].command.shape[1:]),)

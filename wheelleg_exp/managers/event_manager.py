@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
 import torch
 
@@ -139,7 +138,7 @@ class EventManager(ManagerBase):
             self._asked[name] |= asked
             asked.clear()
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Draw new event timers for ``env_ids``, and reset all event terms except ``prestartup`` terms."""
         for name, term in self._modes.get("interval", {}).items():
             if not term.fields.get("is_global_time", False):

@@ -12,7 +12,7 @@ import io
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import torch
 from rich.box import SIMPLE
@@ -96,11 +96,11 @@ class Term(Stateful):
     generator: torch.Generator | None = None
     settings: Settings | None = field(default=None, init=False)
     form: Form | None = field(default=None, init=False)
-    _has_worked: bool = field(default=False, init=False)
-    _make: Callable[[], TermBase] | None = field(default=None, init=False)
-    _made_with: dict[str, Any] = field(default_factory=dict, init=False)
-    _keeps_params: bool = field(default=False, init=False)
     lends: bool = field(default=False, init=False)
+    _has_worked: bool = field(default=False, init=False)
+    # ``_make`` makes the object from ``arguments``; it is None if the parameters are passed to each call instead.
+    _make: Callable[[], TermBase] | None = field(default=None, init=False)
+    _made_with: Mapping[str, object] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self.number("params", self.params, saved=False)
@@ -108,7 +108,7 @@ class Term(Stateful):
         self.number("arguments", self.arguments, saved=False)
         self.number("_has_worked", False, saved=False)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         """Return a field of the term's config, such as ``weight``, as an attribute, as in Isaac Lab's configs."""
         if name in FIELD_TYPES:
             return vars(self).get("fields", {}).get(name)
@@ -128,15 +128,10 @@ class Term(Stateful):
         """
         with self.blamed():
             value = self.func(*args, **self.params)
-        if self.form is not None and not self.form.fits(value):
+        if self.form is not None:
             require_form(self.form, value, f"'{self.target}'", self.path, self.func)
-        if not self._has_worked:
-            self._has_worked = True
+        self._has_worked = True
         return value
-
-    def failure(self, error: BaseException) -> BaseException:
-        """Return the error that replaces an exception of the term's code: it has the config key and the source line."""
-        return failure(error, self.path, self.target, self.func, has_worked=self._has_worked)
 
     def blamed(self) -> AbstractContextManager[None]:
         """Return a context manager that adds a manager term's config key to errors raised in the ``with`` block."""
@@ -147,11 +142,11 @@ class Term(Stateful):
         with _Blamed(self), lent(self.generator):
             yield
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Mapping[str, object]]) -> None:
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
@@ -166,30 +161,16 @@ class Term(Stateful):
     def bound(self) -> None:
         """Note the settings of the term from the config: later differences are state."""
         if self.settings is None:
-            params = self.params if self._make is None or self._keeps_params else self.arguments
+            params = self.params if self._make is None else self.arguments
             # ``ObservationTerm.state_dict`` saves the state of modifiers and noise.
             skip = ("modifiers", "noise")
             self.settings = Settings({"fields": self.fields, "params": params}, self.path, skip=skip)
 
     def take_arguments(self) -> None:
         """If constructor arguments of the term's object have changed, update the object, but keep its state."""
-        if self._make is None or self._keeps_params or self.arguments == self._made_with:
-            return
-        assert self.stateful is not None
-        adopt(self.stateful, self._make())
-        self._made_with = copy.deepcopy(self.arguments)
-
-    def made_by(self, make: Callable[[], TermBase], keeps_params: bool) -> None:
-        """Create the object of this term by a call of ``make``, and store the object as ``func``.
-
-        If ``keeps_params`` is True, the term's parameters are passed to each call of the object, as in Isaac Lab.
-        """
-        self._make, self._made_with, self._keeps_params = make, copy.deepcopy(self.arguments), keeps_params
-        term_object = make()
-        self.func = self.child("func", cast(Any, term_object))
-        if not keeps_params:
-            self.params = {}
-        self.bound()
+        if self._make is not None and self.stateful is not None and self.arguments != self._made_with:
+            adopt(self.stateful, self._make())
+            self._made_with = copy.deepcopy(self.arguments)
 
 
 class _Blamed:
@@ -203,8 +184,11 @@ class _Blamed:
     def __enter__(self) -> None: ...
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is not None and (named := self._term.failure(error)) is not error:
-            raise named from error
+        if error is not None:
+            term = self._term
+            named = failure(error, term.path, term.target, term.func, has_worked=term._has_worked)
+            if named is not error:
+                raise named from error
 
 
 def bind_terms(kind: str, section: str, nodes: Terms, env: Env, *, instantiate: bool = True) -> dict[str, Term]:
@@ -214,31 +198,26 @@ def bind_terms(kind: str, section: str, nodes: Terms, env: Env, *, instantiate: 
     as ``env.rewards``. If ``instantiate`` is False, the caller must later create the terms' objects with
     ``instantiate_term``.
     """
-    terms = {
-        name: _bound_term(kind, term_binding.split_node(kind, f"{section}.{name}", node), env)
-        for name, node in nodes.items()
-    }
+    terms = {}
+    for name, settings in nodes.items():
+        node = term_binding.split_node(kind, f"{section}.{name}", settings)
+        target = resolve_target(node.target, node.path)
+        for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
+            raise error
+        fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
+        term = terms[name] = Term(node.name, node.path, node.target, target, {}, fields)
+        takes_generator = "generator" in inspect.signature(read_from(target)).parameters
+        if takes_generator or term_binding.written_for_isaac_lab(target):
+            term.generator, term.lends = env.streams.get(node.path), not takes_generator
+        term.params = _params(term, node.params, env)
+        term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
     if instantiate:
         for term in terms.values():
             instantiate_term(term, env)
     return terms
 
 
-def _bound_term(kind: str, node: TermNode, env: Env) -> Term:
-    target = resolve_target(node.target, node.path)
-    for error in (*field_errors(kind, node), *parameter_errors(kind, node, target)):
-        raise error
-    fields = {name: build(value, f"{node.path}.{name}") for name, value in node.fields.items()}
-    term = Term(node.name, node.path, node.target, target, {}, fields)
-    takes_generator = "generator" in inspect.signature(read_from(target)).parameters
-    if takes_generator or term_binding.written_for_isaac_lab(target):
-        term.generator, term.lends = env.streams.get(node.path), not takes_generator
-    term.params = _params(term, node.params, env)
-    term.arguments = copy.deepcopy(node.params) if inspect.isclass(target) else {}
-    return term
-
-
-def _params(term: Term, arguments: Mapping[str, object], env: Env) -> dict[str, Any]:
+def _params(term: Term, arguments: Mapping[str, object], env: Env) -> dict[str, object]:
     """Return the arguments of a target: with built nodes, resolved entities, and the random stream of the term."""
     params = {name: build(value, f"{term.path}.{name}") for name, value in arguments.items()}
     for name, value in params.items():
@@ -248,12 +227,15 @@ def _params(term: Term, arguments: Mapping[str, object], env: Env) -> dict[str, 
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Create the object of a term whose ``func`` is a class, and store the term's settings."""
+    """Create the object of a term whose ``func`` is a class, store it as ``func``, and note the term's settings.
+
+    The parameters of a term in Isaac Lab's style are passed to each call of the object, not to its constructor.
+    """
     kind: Any = term.func
-    if not inspect.isclass(kind):
+    if not inspect.isclass(term.func):
         term.bound()
         return
-    if not issubclass(kind, TermBase):
+    if not issubclass(term.func, TermBase):
         expected = "a subclass of TermBase or a function"
         raise ConfigError(f"'{term.target}' is not the class of a term", key=term.path, expected=expected)
 
@@ -262,17 +244,21 @@ def instantiate_term(term: Term, env: Env) -> None:
         for error in parameter_errors("commands", node, kind):  # The section "commands" reserves no parameter names.
             raise error
         with term.blamed():
-            arguments: dict[str, Any] = {"cfg": term}
+            arguments: dict[str, object] = {"cfg": term}
             if not term_binding.takes_cfg(kind):
                 arguments = _params(term, term.arguments, env)
             elif (config := term_binding.cfg_class(kind)) and config is read_from(kind):
                 # As in Isaac Lab, action and command terms get their parameters as one object ``cfg``.
                 arguments = {"cfg": config(**_params(term, term.arguments, env))}
-            made_object: TermBase = cast(Any, kind)(env=env, **arguments)
-        return made_object
+            made: TermBase = kind(env=env, **arguments)
+        return made
 
-    keeps_params = term_binding.takes_cfg(kind) and read_from(kind) is not term_binding.cfg_class(kind)
-    term.made_by(make, keeps_params)
+    if not term_binding.takes_cfg(kind) or read_from(kind) is term_binding.cfg_class(kind):
+        term._make, term._made_with = make, copy.deepcopy(term.arguments)
+    term.child("func", make())
+    if term._make is not None:
+        term.params = {}
+    term.bound()
 
 
 def build(value: object, path: str) -> Any:
@@ -340,7 +326,7 @@ class ManagerBase(OfEnv, Stateful):
         """Return the names of the terms that expressions match; raise ConfigError if an expression matches no term."""
         return match_names(name_keys, list(self._terms), key=f"env.{self.kind}", what="term")[1]
 
-    def set_term_cfg(self, name: str, cfg: Any) -> None:
+    def set_term_cfg(self, name: str, cfg: Term) -> None:
         """Copy ``func``, ``params``, and the fields (such as ``weight``) of ``cfg`` to the term ``name``."""
         term = self.get_term_cfg(name)
         if cfg is term:
@@ -359,7 +345,7 @@ class ManagerBase(OfEnv, Stateful):
             raise ConfigError(message, expected="one of " + (", ".join(self._terms) or "(no terms)"), nearest=nearest)
         return self._terms[name]
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         return {"terms": {name: term.state_dict() for name, term in self._terms.items()}, **super().state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
@@ -369,14 +355,12 @@ class ManagerBase(OfEnv, Stateful):
 
     def _reset_terms(self, env_ids: torch.Tensor, but: Collection[str] = ()) -> None:
         for name, term in self._terms.items():
-            func: Any = term.func
-            if name not in but and isinstance(func, TermBase):
+            if name not in but and term.stateful is not None:
                 with term.blamed():
-                    func.reset(env_ids)
+                    term.stateful.reset(env_ids)
 
-    def _cells(self, term: Term) -> tuple[Any, ...]:
+    def _cells(self, term: Term) -> tuple[object, ...]:  # noqa: ARG002
         """Return the cells of one term for the ``columns`` that a manager adds to its printed table of terms."""
-        del term
         return ()
 
     def __str__(self) -> str:
@@ -392,8 +376,6 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) 
         grid.add_column(column)
     for row in rows:
         grid.add_row(*(str(cell) for cell in row))
-    console = Console(file=io.StringIO(), width=100, color_system=None)
-    console.print(grid)
-    stream = console.file
-    assert isinstance(stream, io.StringIO)
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip("\n")
+    text = io.StringIO()
+    Console(file=text, width=100, color_system=None).print(grid)
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()).strip("\n")

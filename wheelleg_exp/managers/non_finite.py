@@ -7,7 +7,7 @@ rewards or observations is not finite, each value is checked.
 from __future__ import annotations
 
 import functools
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import torch
@@ -112,21 +112,17 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
         return
     parts = _parts(env)
     if parts and may_fail(part.sum() for part in parts):
-        for path, part in _observed(env):
-            bad = failed_rows(part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0))
-            if len(bad):
-                raise failure(env, path, "the term gave observations that are not finite", bad)
+        for group, value in env.observation_manager.obs_buf.items():
+            for term, part in env.observation_manager.split(group, value).items():
+                chosen = part if only is None else part.masked_fill(~only.view(-1, *[1] * (part.ndim - 1)), 0.0)
+                if len(bad := failed_rows(chosen)):
+                    path = f"env.observations.{group}.terms.{term}"
+                    raise failure(env, path, "the term gave observations that are not finite", bad)
 
 
 def _parts(env: Env) -> list[torch.Tensor]:
     groups = env.observation_manager.obs_buf.values()
     return [part for value in groups for part in ([value] if isinstance(value, torch.Tensor) else value.values())]
-
-
-def _observed(env: Env) -> Iterator[tuple[str, torch.Tensor]]:
-    for group, value in env.observation_manager.obs_buf.items():
-        for term, part in env.observation_manager.split(group, value).items():
-            yield f"env.observations.{group}.terms.{term}", part
 
 
 def require_finite_actions(env: Env, actions: torch.Tensor) -> None:

@@ -136,7 +136,7 @@ class ObservationManager(Stateful):
             return None
         return self._is_first if self.in_masks else ids_where(self._is_first)
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Reset every term of ``env_ids``."""
         for terms in self._groups.values():
             for term in terms.values():
@@ -145,7 +145,7 @@ class ObservationManager(Stateful):
         self._any_first = True
         return {}
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         terms = {g: {n: t.state_dict() for n, t in ts.items()} for g, ts in self._groups.items()}
         return {"groups": terms, "obs_buf": cloned(self.obs_buf), **super().state_dict()}
 
@@ -159,38 +159,29 @@ class ObservationManager(Stateful):
 
     def _add_group(self, group: str, options: GroupOptions, env: Env) -> None:
         path = f"env.observations.{group}"
-        terms = bind_terms("observations", f"{path}.terms", options.terms, env)
-        if not terms:
-            raise ConfigError("the observation group has no terms", key=f"{path}.terms", expected="at least one term")
-        self._groups[group] = {}
-        for name, term in terms.items():
+        terms: dict[str, ObservationTerm] = {}
+        for name, bound in bind_terms("observations", f"{path}.terms", options.terms, env).items():
             length, flatten = options.history_length, options.flatten_history_dim
             if length is None:  # The history settings of an observation group override those of its terms.
-                length = term.fields.get("history_length", 0)
-                flatten = term.fields.get("flatten_history_dim", True)
-            self._groups[group][name] = ObservationTerm(term, env, options.enable_corruption, length, flatten)
+                length = bound.fields.get("history_length", 0)
+                flatten = bound.fields.get("flatten_history_dim", True)
+            terms[name] = ObservationTerm(bound, env, options.enable_corruption, length, flatten)
+            terms[name].share(other for known in self._groups.values() for other in known.values())
+        if not terms:
+            raise ConfigError("the observation group has no terms", key=f"{path}.terms", expected="at least one term")
         key = f"{path}.history_length" if options.history_length else ""
-        _require_memory(list(self._groups[group].values()), env, key, by_time=options.history_order == "time")
-        self._layouts[group] = GroupLayout(self._groups[group], options, path)
-        self._add_histories(group, env)
-        others = [term for known, terms in self._groups.items() if known != group for term in terms.values()]
-        for one in self._groups[group].values():
-            one.share(others)
-
-    def _add_histories(self, group: str, env: Env) -> None:
-        """Make the histories of a group: one row if the group is one vector, otherwise a buffer for each term."""
-        terms, layout = list(self._groups[group].values()), self._layouts[group]
-        plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms)
-        if layout.concatenated and plain and not layout.by_time:
-            widths, lengths = [term.width for term in terms], [term.history_length for term in terms]
-            row = self._rows[group] = RowHistory(env.num_envs, widths, lengths, env.device)
-            for index, term in enumerate(terms):
-                term.history = row.part(index) if term.history_length else None
-            return
-        for term in terms:
-            if term.history_length:
-                shape = torch.Size(term.sample_shape)
-                term.history = HistoryBuffer(env.num_envs, term.history_length, shape, env.device)
+        _require_memory(list(terms.values()), env, key, by_time=options.history_order == "time")
+        self._groups[group], self._layouts[group] = terms, GroupLayout(terms, options, path)
+        is_plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms.values())
+        row = None
+        if self._layouts[group].concatenated and is_plain and not self._layouts[group].by_time:
+            sizes = [term.width for term in terms.values()], [term.history_length for term in terms.values()]
+            row = self._rows[group] = RowHistory(env.num_envs, *sizes, env.device)
+        for index, term in enumerate(terms.values()):
+            if term.history_length and row is not None:
+                term.history = row.part(index)
+            elif term.history_length:
+                term.history = HistoryBuffer(env.num_envs, term.history_length, term.sample_shape, env.device)
 
     def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
         terms = self._groups[group]

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers.manager_base import Term, TermBase
+from wheelleg_exp.managers.manager_base import Term
 from wheelleg_exp.managers.return_checks import require_form, row_form
 from wheelleg_exp.managers.sample_history import HistoryBuffer, RowHistoryPart, made_delay
 from wheelleg_exp.managers.term_interface import Env, SceneEntityCfg
 from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
-from wheelleg_exp.terms.term_errors import failure
+from wheelleg_exp.terms.term_errors import blamed, dotted_name
 
 
 @dataclass
@@ -76,7 +76,7 @@ class ObservationTerm(Stateful):
             modifier.start(sample)
         self.history: HistoryBuffer | RowHistoryPart | None = self.child("history", None)
         self.same_as: ObservationTerm | None = None
-        self._when_shared: list[tuple[Any, Any]] = []
+        self._when_shared: list[tuple[Mapping[str, object], Mapping[str, object]]] = []
         self._same_sample = False
         self.history_length = history_length
         self.sample_shape = tuple(sample.shape[1:])
@@ -102,15 +102,10 @@ class ObservationTerm(Stateful):
                 self._same_sample = self._processes_as() == other._processes_as()
                 return
 
-    def _processes_as(self) -> Any:
+    def _processes_as(self) -> object:
         """Return equal objects for two terms only if both terms clip and scale their values in the same way."""
         plain = not self._modifiers and self._noise is None and self.delay is None
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
-
-    def is_shared(self) -> bool:
-        """Return whether this term still reuses another term's value: a curriculum may have changed a parameter."""
-        is_known = self.same_as is not None and all(now.keys() == then.keys() for now, then in self._when_shared)
-        return is_known and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
 
     def sample(self, values: Values) -> torch.Tensor:
         """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
@@ -118,7 +113,10 @@ class ObservationTerm(Stateful):
         ``values`` stores the sample for other terms with the same function and equal parameters.
         """
         owner = self
-        if self.same_as is not None and self.is_shared():
+        # Since ``share`` was called, a curriculum may have changed a parameter of one of the two terms.
+        is_same = all(now.keys() == then.keys() for now, then in self._when_shared)
+        is_same = is_same and all(now[name] is v for now, then in self._when_shared for name, v in then.items())
+        if self.same_as is not None and is_same:
             owner = self.same_as
             if self._same_sample and owner in values.samples:
                 return values.samples[owner]
@@ -154,15 +152,15 @@ class ObservationTerm(Stateful):
         """Flatten a history (N, H, ...) to (N, columns) if the setting ``flatten_history_dim`` is true."""
         return history.flatten(1) if self._flatten else history
 
-    def parts(self) -> dict[str, Any]:
+    def parts(self) -> dict[str, object]:
         """Return the modifier and noise objects of the term by config key."""
         found = {f"modifiers[{number}]": modifier for number, modifier in enumerate(self._modifiers)}
         return found | ({} if self._noise is None else {"noise": self._noise})
 
     def reset(self, env_ids: torch.Tensor) -> None:
         """Reset the term's object, modifiers, noise, and delay in the environments ``env_ids``."""
-        if isinstance(self.term.func, TermBase):
-            self.term.func.reset(env_ids)
+        if self.term.stateful is not None:
+            self.term.stateful.reset(env_ids)
         for modifier in self._modifiers:
             modifier.reset(env_ids)
         if hasattr(self._noise, "reset"):
@@ -183,13 +181,11 @@ class ObservationTerm(Stateful):
             value = value.clip(self._clip[0], self._clip[1])
         return value if self._scale is None else value * self._scale
 
-    def _part(self, name: str, part: Any, *args: Any) -> torch.Tensor:
-        path, target = f"{self.term.path}.{name}", f"{type(part).__module__}.{type(part).__qualname__}"
-        try:
-            value: torch.Tensor = part(*args)
-        except BaseException as error:
-            raise failure(error, path, target, part, has_worked=self._part_forms[name].is_known) from error
-        require_form(self._part_forms[name], value, f"'{target}'", path, part)
+    def _part(self, name: str, part: Callable[..., torch.Tensor], *args: object) -> torch.Tensor:
+        path, form = f"{self.term.path}.{name}", self._part_forms[name]
+        with blamed(path, part, has_worked=form.is_known, what="a term"):
+            value = part(*args)
+        require_form(form, value, f"'{dotted_name(part)}'", path, part)
         return value
 
 
@@ -198,7 +194,8 @@ def _same(mine: Mapping[str, object], theirs: Mapping[str, object]) -> bool:
     for name, value in mine.items():
         other = theirs.get(name)
         if isinstance(value, SceneEntityCfg) and isinstance(other, SceneEntityCfg):
-            is_equal = value.selects_as(other)
+            names = ("name", "joint_names", "body_names", "preserve_order")
+            is_equal = all(getattr(value, name) == getattr(other, name) for name in names)
         else:
             is_plain = type(value) is type(other) and isinstance(value, (str, bool, int, float, type(None)))
             is_equal = is_plain and value == other
@@ -242,7 +239,12 @@ class GroupLayout:
         first[self._dim] = sum(widths.values())
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
-        self.parts = _parts({name: width // steps for name, width in widths.items()}, steps)
+        self.parts: dict[str, list[slice]] = {name: [] for name in widths}
+        start = 0
+        for _ in range(steps):
+            for name, width in widths.items():
+                self.parts[name].append(slice(start, start + width // steps))
+                start += width // steps
         self._dim += self._dim >= 0  # In ``concatenate_dim``, 0 is the first dimension after the environments.
 
     def shown(self, term: ObservationTerm, history: torch.Tensor) -> torch.Tensor:
@@ -263,17 +265,6 @@ class GroupLayout:
             return value[name]
         found = [value.narrow(self._dim, part.start, part.stop - part.start) for part in self.parts[name]]
         return found[0] if len(found) == 1 else torch.cat(found, dim=self._dim)
-
-
-def _parts(widths: Mapping[str, int], steps: int) -> dict[str, list[slice]]:
-    """Return each term's slices in an observation that lists all terms of step 1, then of step 2, and so on."""
-    found: dict[str, list[slice]] = {name: [] for name in widths}
-    start = 0
-    for _ in range(steps):
-        for name, width in widths.items():
-            found[name].append(slice(start, start + width))
-            start += width
-    return found
 
 
 def _require_joinable(shapes: Mapping[str, tuple[int, ...]], dim: int, path: str) -> None:

@@ -16,7 +16,7 @@ from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.terms.config_sections import Dataset
 from wheelleg_exp.terms.term_errors import code_place, described
 
-Recorded = tuple[str | None, torch.Tensor | Mapping[str, Any] | None]
+Recorded = tuple[str | None, torch.Tensor | Mapping[str, object] | None]
 Arrays = dict[str, np.ndarray]
 _SUCCESS = "success"  # An episode that the termination `success` ends is a success.
 _OWN = ("episode", "rows")  # Keys of recorder terms cannot start with ``episode/`` or ``rows/``.
@@ -69,28 +69,25 @@ class Rows:
         self._starts -= first
 
 
-def recorded_arrays(returned: object, rows: int, source: str, code: object) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield ``(key, array)`` for each tensor that a recorder's method returned; a mapping gives keys like ``key/name``.
+def recorded_arrays(returned: object, rows: int, source: str, code: object) -> Arrays:
+    """Return the tensors that a recorder's method returned as arrays by key; a mapping gives keys like ``key/name``.
 
     Errors contain ``source``, the name of the recorder's method, and the file and line of ``code``.
     """
-    found = described(returned)
+    arrays, found = {}, described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
-        arrays = {} if returned[1] is None else dict(_flatten(*returned))
-        wrong = next((item for item in arrays.items() if not _is_recordable(*item, rows)), None)
-        if wrong is None:
-            yield from ((key, value.detach().cpu().numpy()) for key, value in arrays.items())
-            return
-        found = " and ".join(map(described, wrong))
+        for key, value in () if returned[1] is None else _flatten(*returned):
+            if not isinstance(key, str) or not isinstance(value, torch.Tensor) or value.shape[:1] != (rows,):
+                found = f"{described(key)} and {described(value)}"
+                break
+            arrays[key] = value.detach().cpu().numpy()
+        else:
+            return arrays
     expected = f"a key, and a tensor of shape ({rows}, ...) or such tensors by name; or None, None"
     raise ConfigError(f"{source} returns {found}", where=code_place(code), expected=expected)
 
 
-def _is_recordable(key: object, value: object, rows: int) -> bool:
-    return isinstance(key, str) and isinstance(value, torch.Tensor) and value.shape[:1] == (rows,)
-
-
-def _flatten(key: Any, value: Any) -> Iterator[tuple[str, Any]]:
+def _flatten(key: object, value: object) -> Iterator[tuple[object, object]]:
     if not isinstance(value, Mapping):
         yield key, value
         return
@@ -166,7 +163,7 @@ class RecorderManager(ManagerBase):
         self._initial: dict[str, Rows] = self.number("_initial", {}, saved=False)
         self._owners: dict[str, str] = self.number("_owners", {}, saved=False)
         self._is_whole = self.number("_is_whole", np.zeros(self._num_envs, dtype=bool), saved=False)
-        self._finished: dict[str, list[tuple[dict[str, Any], Arrays]]] = self.number("_finished", {}, saved=False)
+        self._finished: dict[str, list[tuple[dict[str, int], Arrays]]] = self.number("_finished", {}, saved=False)
 
     def record_pre_step(self) -> None:
         """Call all recorders before the environment applies the action."""
@@ -189,9 +186,24 @@ class RecorderManager(ManagerBase):
 
     def record_pre_reset(self, env_ids: torch.Tensor) -> None:
         """Finish the episodes in ``env_ids``, but drop episodes without a step or without a recorded start."""
-        if not self._terms or self._options.export_mode == "none":
+        mode, ends = self._options.export_mode, self._env.termination_manager
+        if not self._terms or mode == "none":
             return
-        self._finish_episodes(env_ids, self._only("record_pre_reset", env_ids))
+        last = self._only("record_pre_reset", env_ids)
+        success = [False] * len(env_ids)
+        if _SUCCESS in ends.active_terms:
+            success = ends.get_term(_SUCCESS)[env_ids].tolist()
+        lengths = self._env.episode_length_buf[env_ids].tolist()
+        for place, (env_id, length) in enumerate(zip(env_ids.tolist(), lengths, strict=True)):
+            group = "episodes" if mode == "all" else "succeeded" if success[place] else "failed"
+            is_wanted = success[place] or mode != "succeeded_only"
+            if not is_wanted or not length or not self._is_whole[env_id]:
+                continue
+            last_step = self._env.common_step_counter
+            about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
+            arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
+            arrays |= {key: value[place : place + 1] for key, value in last.items()}
+            self._finished.setdefault(group, []).append((about, arrays))
 
     def record_post_reset(self, env_ids: torch.Tensor) -> None:
         """Start the episodes of ``env_ids``."""
@@ -201,7 +213,7 @@ class RecorderManager(ManagerBase):
         for key, value in self._only("record_post_reset", env_ids).items():
             self._initial.setdefault(key, Rows(self._num_envs)).set(ids, value)
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Start new episodes of the environments ``env_ids``; return an empty log."""
         if self._terms:
             ids = env_ids.cpu().numpy()
@@ -234,7 +246,7 @@ class RecorderManager(ManagerBase):
         """Omit current episodes from the dataset; after a state was loaded, their first steps are missing."""
         self._is_whole[:] = False
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         states = {name: term.state_dict() for name, term in self._terms.items()}
         present = {name: state for name, state in states.items() if state["settings"] or state["object"]}
         return {"terms": present} if present else {}
@@ -246,8 +258,8 @@ class RecorderManager(ManagerBase):
     def _recorded(self, hook: str, rows: int, *args: torch.Tensor) -> Iterator[tuple[str, np.ndarray]]:
         for term, recorder in self._hooks[hook]:
             with term.blamed():
-                found = list(recorded_arrays(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder))
-                for key, _ in found:
+                found = recorded_arrays(getattr(recorder, hook)(*args), rows, f"'{term.target}.{hook}'", recorder)
+                for key in found:
                     first = self._owners.setdefault(key, term.path)
                     if first != term.path:
                         message = f"the key '{key}' is already recorded by term {first}"
@@ -255,7 +267,7 @@ class RecorderManager(ManagerBase):
                     if key.split("/")[0] in _OWN:
                         message = f"the key '{key}' is reserved for data about episodes"
                         raise ConfigError(message, expected="another key")
-            yield from found
+            yield from found.items()
 
     def _append(self, hook: str) -> None:
         if not self._hooks[hook]:
@@ -270,25 +282,7 @@ class RecorderManager(ManagerBase):
     def _only(self, hook: str, env_ids: torch.Tensor) -> Arrays:
         return {name: array.copy() for name, array in self._recorded(hook, len(env_ids), env_ids)}
 
-    def _finish_episodes(self, env_ids: torch.Tensor, last: Arrays) -> None:
-        ends = self._env.termination_manager
-        success = [False] * len(env_ids)
-        if _SUCCESS in ends.active_terms:
-            success = ends.get_term(_SUCCESS)[env_ids].tolist()
-        lengths = self._env.episode_length_buf[env_ids].tolist()
-        for place, (env_id, length) in enumerate(zip(env_ids.tolist(), lengths, strict=True)):
-            mode, is_success = self._options.export_mode, success[place]
-            group = "episodes" if mode == "all" else "succeeded" if is_success else "failed"
-            is_wanted = is_success or mode != "succeeded_only"
-            if not is_wanted or not length or not self._is_whole[env_id]:
-                continue
-            last_step = self._env.common_step_counter
-            about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
-            arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
-            arrays |= {key: value[place : place + 1] for key, value in last.items()}
-            self._finished.setdefault(group, []).append((about, arrays))
-
-    def _cells(self, term: Term) -> tuple[Any, ...]:
+    def _cells(self, term: Term) -> tuple[object, ...]:
         hooks = [hook for hook, having in self._hooks.items() if any(owner is term for owner, _ in having)]
         return (", ".join(hook.removeprefix("record_") for hook in hooks),)
 

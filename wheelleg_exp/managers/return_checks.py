@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -19,10 +19,7 @@ from wheelleg_exp.terms.term_errors import code_place, described
 
 
 class Form(Protocol):
-    """Base class of the requirements for a term's return value, such as type, shape, and device."""
-
-    def fits(self, value: object) -> bool:
-        """Return True if a fast test accepts a term's return value; otherwise, call ``check`` for an exact test."""
+    """The requirements for a term's return value, such as type, shape, and device."""
 
     def check(self, value: object, source: str) -> None:
         """Raise ConfigError if a term's return value is invalid; the message names the function ``source``."""
@@ -64,23 +61,16 @@ class TensorForm:
         """Whether the term has already returned a valid tensor; all later tensors must have the same shape."""
         return self._shape is not None
 
-    def fits(self, value: object) -> bool:
-        """Return whether ``value`` has the shape of the first valid tensor that the term returned."""
-        return self._shape is not None and getattr(value, "shape", None) == self._shape
-
-    def check(self, value: Any, source: str) -> None:
-        """Raise ConfigError unless ``value`` is a tensor with the required shape, type, and device."""
-        if self.fits(value):
+    def check(self, value: object, source: str) -> None:
+        if self._shape is not None and getattr(value, "shape", None) == self._shape:
             return
         found, fix = self._mistake(value)
-        if found:
-            raise ConfigError(f"{source} returns {found}", expected=self._wanted() + (f": {fix}" if fix else ""))
+        if found or not isinstance(value, torch.Tensor):
+            shape = f"({self.rows},)" if self.width is None else f"({self.rows}, {self.width or 'width'})"
+            kind = "real" if self.dtype is None else _dtype_name(self.dtype)
+            expected = f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
+            raise ConfigError(f"{source} returns {found}", expected=expected + (f": {fix}" if fix else ""))
         self._shape = value.shape
-
-    def _wanted(self) -> str:
-        shape = f"({self.rows},)" if self.width is None else f"({self.rows}, {self.width or 'width'})"
-        kind = "real" if self.dtype is None else _dtype_name(self.dtype)
-        return f"a {kind} tensor of shape {shape}, a {self.what} for each environment"
 
     def _mistake(self, value: object) -> tuple[str, str]:
         if not isinstance(value, torch.Tensor):
@@ -125,12 +115,7 @@ def row_form(rows: int, device: torch.device, *, deep: bool = False) -> TensorFo
 class NoForm:
     """Requires that a term returns None, as event terms do."""
 
-    def fits(self, value: object) -> bool:
-        """Return whether a term's return value is None."""
-        return value is None
-
     def check(self, value: object, source: str) -> None:
-        """Raise ConfigError if ``value`` is not None; the message names the function ``source`` that returned it."""
         if value is not None:
             message = f"{source} returns {described(value)}, but must return nothing"
             raise ConfigError(message, expected="no return value")
@@ -139,12 +124,7 @@ class NoForm:
 class FiguresForm:
     """The form of the state that a curriculum logs: a number, numbers by name, or None."""
 
-    def fits(self, value: object) -> bool:
-        """Return True if a term returned None or a float; ``check`` tests all other return values."""
-        return value is None or type(value) is float
-
     def check(self, value: object, source: str) -> None:
-        """Raise ConfigError if a function returned anything but a number, numbers by name, or None."""
         figures = value.values() if isinstance(value, Mapping) else [value]
         wrong = next((figure for figure in figures if figure is not None and not _is_number(figure)), None)
         if wrong is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 
@@ -100,16 +99,16 @@ class RewardManager(ManagerBase):
         """Return each term's weighted reward per second in this control step, for one environment."""
         return [(name, [value]) for name, value in zip(self._terms, self.step_reward[:, env_idx].tolist(), strict=True)]
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``Episode_Reward/<term>``: mean of the episode sums, divided by the longest episode's duration, s."""
         means = self._sums.index_select(1, env_ids).mean(dim=1) / self._env.max_episode_length_s
         self._sums.index_fill_(1, env_ids, 0.0)
         self._reset_terms(env_ids)
         return {f"Episode_Reward/{n}": v for n, v in zip(self._terms, means.unbind(), strict=True)}
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self._read_weights()
 
-    def _cells(self, term: Term) -> tuple[Any, ...]:
+    def _cells(self, term: Term) -> tuple[object, ...]:
         return (term.fields["weight"],)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 
@@ -23,7 +22,7 @@ from wheelleg_exp.state import Stateful
 class HistoryBuffer(Stateful):
     """A buffer of the last H samples of each environment, (N, H, ...)."""
 
-    def __init__(self, num_envs: int, length: int, shape: torch.Size, device: torch.device) -> None:
+    def __init__(self, num_envs: int, length: int, shape: Sequence[int], device: torch.device) -> None:
         self.samples = self.buffer("samples", torch.zeros(num_envs, length, *shape, device=device))
 
     def append(self, sample: torch.Tensor, first: torch.Tensor | None) -> torch.Tensor:
@@ -41,7 +40,7 @@ class HistoryBuffer(Stateful):
             after[first] = newest[first]
         return after
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         self.samples = saved["samples"].clone()  # Histories that were already returned must not change.
 
 
@@ -106,7 +105,7 @@ class RowHistoryPart(Stateful):
     def state_dict(self) -> dict[str, torch.Tensor]:
         return {"samples": self.samples.contiguous().clone()}
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
         self._row.values = self._row.values.clone()  # Histories that were already returned must not change.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 

@@ -42,7 +42,7 @@ class Streams:
         for path, generator in self._generators.items():
             generator.manual_seed(stream_seed(seed, path))
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return the seed and the state of each random generator, which a checkpoint saves."""
         generators = {path: generator.get_state() for path, generator in sorted(self._generators.items())}
         return {"seed": self._seed, "generators": generators}

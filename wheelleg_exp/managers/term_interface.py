@@ -125,11 +125,6 @@ class SceneEntityCfg:
         known = vars(self).get("_bodies")
         return list(known) if known is not None else _on_host(self.body_ids, count)
 
-    def selects_as(self, other: SceneEntityCfg) -> bool:
-        """Return whether two ``SceneEntityCfg`` objects select the same joints and bodies in the same order."""
-        names = ("name", "joint_names", "body_names", "preserve_order")
-        return all(getattr(self, name) == getattr(other, name) for name in names)
-
 
 def member(scene: Scene, name: str, key: str) -> Any:
     """Return a robot or sensor of the scene by name; raise ConfigError with ``key`` if the name does not exist."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 
@@ -86,7 +85,7 @@ class TerminationManager(ManagerBase):
         self._last_episode[:, env_ids] = self.fired[:, env_ids]
         return self.dones
 
-    def reset(self, env_ids: torch.Tensor) -> dict[str, Any]:
+    def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return ``Episode_Termination/<term>``: share of all environments whose last episode this term ended."""
         shares = self._last_episode.mean(dim=1, dtype=torch.get_default_dtype())
         self._reset_terms(env_ids)
@@ -100,7 +99,7 @@ class TerminationManager(ManagerBase):
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
 
-    def _cells(self, term: Term) -> tuple[Any, ...]:
+    def _cells(self, term: Term) -> tuple[object, ...]:
         return (bool(term.fields.get("time_out", False)),)
 
 

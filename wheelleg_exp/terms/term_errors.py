@@ -14,7 +14,6 @@ import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.constraints import rules_of
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError, nearest_name
@@ -32,11 +31,7 @@ def field_errors(section: str, term: binding.TermNode) -> Iterator[ConfigError]:
             yield ConfigError(f"every term of {section} needs '{name}'", key=f"{term.path}.{name}")
     for name, value in term.fields.items():
         if not has_target(value):
-            yield from value_errors(f"{term.path}.{name}", value, binding.FIELD_TYPES.get(name, Any))
-    yield from _mode_errors(term)
-
-
-def _mode_errors(term: binding.TermNode) -> Iterator[ConfigError]:
+            yield from value_errors(f"{term.path}.{name}", value, binding.FIELD_TYPES.get(name, object))
     mode = term.fields.get("mode")
     if not isinstance(mode, str):
         return
@@ -54,12 +49,12 @@ def _mode_errors(term: binding.TermNode) -> Iterator[ConfigError]:
         yield ConfigError("an interval event needs an interval", key=key, expected="[shortest, longest] in s")
 
 
-def parameter_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def parameter_errors(section: str, term: binding.TermNode, target: Callable[..., object]) -> list[ConfigError]:
     """Return the mistakes in a term's parameters: their names, their values, and the rules between them."""
     return list(_name_errors(section, term, target)) + _value_errors(term, target)
 
 
-def nested_errors(path: str, node: Mapping[str, object], target: Callable[..., Any]) -> list[ConfigError]:
+def nested_errors(path: str, node: Mapping[str, object], target: Callable[..., object]) -> list[ConfigError]:
     """Return the mistakes in a ``_target_`` node that is not a term: a sensor, an actuator, noise, an entity."""
     try:
         parameters = binding.target_arguments(node, path)
@@ -69,7 +64,7 @@ def nested_errors(path: str, node: Mapping[str, object], target: Callable[..., A
     return parameter_errors("commands", term, target)  # The section "commands" reserves no parameter names.
 
 
-def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any]) -> Iterator[ConfigError]:
+def _name_errors(section: str, term: binding.TermNode, target: Callable[..., object]) -> Iterator[ConfigError]:
     accepted = binding.signature_parameters(target)
     for name in accepted:
         if name in binding.RESERVED[section] and name != binding.SHARED:
@@ -97,7 +92,7 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., Any
         yield ConfigError(message, key=term.path, expected="a value for each parameter without a default")
 
 
-def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[ConfigError]:
+def _value_errors(term: binding.TermNode, target: Callable[..., object]) -> list[ConfigError]:
     hints = type_hints(target)
     errors: list[ConfigError] = []
     accepted = binding.signature_parameters(target)
@@ -117,7 +112,7 @@ def _value_errors(term: binding.TermNode, target: Callable[..., Any]) -> list[Co
     ]
 
 
-def type_hints(target: Callable[..., Any]) -> dict[str, object]:
+def type_hints(target: Callable[..., object]) -> dict[str, object]:
     """Return the annotations of the parameters of a function or class, including constraints.
 
     ``type_hints`` omits annotations that cannot be evaluated, such as classes imported only under ``TYPE_CHECKING``.
@@ -127,14 +122,12 @@ def type_hints(target: Callable[..., Any]) -> dict[str, object]:
     try:
         return typing.get_type_hints(function, include_extras=True)
     except (NameError, TypeError, AttributeError):
-        return dict(_readable_hints(inspect.unwrap(function)))
-
-
-def _readable_hints(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
-    for name, annotation in getattr(function, "__annotations__", {}).items():
-        alone = types.SimpleNamespace(__annotations__={name: annotation})
-        with suppress(Exception):  # Evaluating an annotation can raise any exception.
-            yield name, typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)[name]
+        function, hints = inspect.unwrap(function), dict[str, object]()
+        for name, annotation in getattr(function, "__annotations__", {}).items():
+            alone = types.SimpleNamespace(__annotations__={name: annotation})
+            with suppress(Exception):  # Evaluating an annotation can raise any exception.
+                hints |= typing.get_type_hints(alone, getattr(function, "__globals__", {}), include_extras=True)
+        return hints
 
 
 def has_target(value: object) -> bool:
@@ -143,15 +136,15 @@ def has_target(value: object) -> bool:
 
 
 @contextmanager
-def blamed(path: str, part: object, *, has_worked: bool = False) -> Iterator[None]:
-    """Convert an exception in the code of a scene part, such as a sensor, into an error at the config key ``path``.
+def blamed(path: str, part: object, *, has_worked: bool = False, what: str = "code") -> Iterator[None]:
+    """Convert an exception in the code of a part, such as a sensor or noise, into an error at the config key ``path``.
 
-    The error is a ConfigError, or, if ``has_worked`` is True, a SimulationFailure.
+    The error is a ConfigError, or, if ``has_worked`` is True, a SimulationFailure; see ``failure``.
     """
     try:
         yield
     except BaseException as error:
-        converted = failure(error, path, dotted_name(part), part, has_worked=has_worked, what="code")
+        converted = failure(error, path, dotted_name(part), part, has_worked=has_worked, what=what)
         if converted is error:
             raise
         raise converted from error
@@ -203,7 +196,7 @@ def code_place(code: object) -> str | None:
     return show_file(Path(file), line) if file else None
 
 
-def _definition(code: object) -> Callable[..., Any]:
+def _definition(code: object) -> Callable[..., object]:
     return code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
 
 
