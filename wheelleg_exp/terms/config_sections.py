@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -154,22 +154,18 @@ def _value_errors(key: str, value: object, annotation: object) -> list[ConfigErr
     return value_errors(key, value, annotation)
 
 
-def dataclass_of(annotation: object, node: Mapping[str, object]) -> Any | None:
+def dataclass_of(annotation: object, node: Mapping[str, object]) -> type[DataclassInstance] | None:
     """Return the dataclass of the config section ``node``, which a type annotation names; None without a dataclass."""
-    found = dataclass_in(annotation)
-    choose = getattr(found, "of_section", None)  # The algorithm in `agent` decides which keys `agent` has.
+    kinds = (option for option in options_in(annotation) if isinstance(option, type))
+    found = next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+    # The algorithm in `agent` decides which keys `agent` has.
+    choose: Callable[[Mapping[str, object]], type[DataclassInstance]] | None = getattr(found, "of_section", None)
     return found if choose is None else choose(node)
 
 
-def _dataclass_of_values(annotation: object) -> Any | None:
+def _dataclass_of_values(annotation: object) -> object:
     values = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is dict else ()
-    return next((value for value in values if dataclass_in(value) is not None), None)
-
-
-def dataclass_in(annotation: object) -> type | None:
-    """Return the dataclass that a type annotation names; None if the annotation names no dataclass."""
-    kinds = (option for option in options_in(annotation) if isinstance(option, type))
-    return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+    return next((value for value in values if dataclass_of(value, {}) is not None), None)
 
 
 def read_section(options: type[_Options], node: object, path: str) -> _Options:
@@ -186,7 +182,7 @@ def _instance(options: type[_Options], node: Mapping[str, object]) -> _Options:
     return options(**{name: _read_value(value, keys[name].annotation) for name, value in node.items()})
 
 
-def _read_value(value: object, annotation: object) -> Any:
+def _read_value(value: object, annotation: object) -> object:
     if not isinstance(value, Mapping):
         return value
     if (nested := dataclass_of(annotation, value)) is not None:

@@ -58,7 +58,7 @@ def require_fit(key: str, value: object, annotation: object) -> None:
         raise error
 
 
-def misfits(value: Any, annotation: Any) -> list[Misfit]:
+def misfits(value: object, annotation: object) -> list[Misfit]:
     """Return all mistakes in a config value, such as a text where the type annotation requires a number."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
@@ -80,7 +80,7 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     if annotation in _SCALARS:
         if not _SCALARS[annotation](value):
             return [_wrong_type(value, annotation)]
-        if annotation is float and not math.isfinite(value):
+        if annotation is float and isinstance(value, float) and not math.isfinite(value):
             return [_out_of_range(value, _FINITE)]
         return []
     kind = origin or annotation
@@ -106,19 +106,19 @@ def misfits(value: Any, annotation: Any) -> list[Misfit]:
     return [Misfit(f"{value!r} does not say what it is", f"_target_: {kind.__module__}.{kind.__qualname__}")]
 
 
-def constraints_of(annotation: object) -> list[Constraint[Any]]:
+def constraints_of(annotation: object) -> list[Constraint[object]]:
     """Return the constraints of a type annotation, without the constraints of its element types or union options."""
     parts = typing.get_args(annotation)[1:] if typing.get_origin(annotation) is typing.Annotated else ()
     return [part for part in parts if isinstance(part, Constraint)]
 
 
-def constraints_in(annotation: object) -> list[Constraint[Any]]:
+def constraints_in(annotation: object) -> list[Constraint[object]]:
     """Return all constraints in a type annotation, also those of list elements and union members."""
     inside = (found for part in typing.get_args(annotation) for found in constraints_in(part))
     return [*constraints_of(annotation), *inside]
 
 
-def bare(annotation: object) -> Any:
+def bare(annotation: object) -> object:
     """Return a type annotation without the outermost constraints; constraints of element types remain."""
     return typing.get_args(annotation)[0] if typing.get_origin(annotation) is typing.Annotated else annotation
 
@@ -133,7 +133,7 @@ _SCALARS: dict[Any, Callable[[Any], bool]] = {
 
 
 def _constrained(
-    value: object, annotation: object, inner: object, constraints: Sequence[Constraint[Any]]
+    value: object, annotation: object, inner: object, constraints: Sequence[Constraint[object]]
 ) -> list[Misfit]:
     is_infinite = any(isinstance(c, MayBeInfinite) for c in constraints) and value in (math.inf, -math.inf)
     has_nodes = any(isinstance(c, OfNodes) for c in constraints) and isinstance(value, Mapping)
@@ -148,7 +148,9 @@ def _constrained(
     return [] if broken is None else [Misfit(broken.broken or f"{value!r} is out of range", describe(annotation))]
 
 
-def _of_elements(value: Sequence[object], annotation: object, kind: object, arguments: tuple[Any, ...]) -> list[Misfit]:
+def _of_elements(
+    value: Sequence[object], annotation: object, kind: object, arguments: tuple[object, ...]
+) -> list[Misfit]:
     if not arguments:
         return []
     each = arguments if kind is tuple and Ellipsis not in arguments else arguments[:1] * len(value)
@@ -220,7 +222,7 @@ def type_words(annotation: object) -> str:
     return getattr(annotation, "__name__", str(annotation))
 
 
-def options_in(annotation: object) -> Iterator[Any]:
+def options_in(annotation: object) -> Iterator[object]:
     """Yield the type of an annotation, or each member type of a union annotation, without ``Annotated`` constraints."""
     annotation = bare(annotation)
     if typing.get_origin(annotation) not in (typing.Union, types.UnionType):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 from wheelleg_exp import packages
 from wheelleg_exp.constraints import Bounds, Natural, Node, NonNegativeInterval, NotEmpty, Ordered
@@ -84,7 +84,7 @@ SHARED = "scale"
 OPTIONAL = "recorders"
 
 # ``FIELD_TYPES`` has the type of each config key that managers read, such as ``weight``.
-FIELD_TYPES: dict[str, Any] = {
+FIELD_TYPES: dict[str, object] = {
     "weight": float,
     "time_out": bool,
     "mode": Annotated[str, NotEmpty()],
@@ -126,11 +126,11 @@ class TermNode:
     name: str
     path: str
     target: str
-    fields: dict[str, Any] = field(default_factory=dict)
-    params: dict[str, Any] = field(default_factory=dict)
+    fields: dict[str, object] = field(default_factory=dict)
+    params: dict[str, object] = field(default_factory=dict)
 
 
-def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
+def drop_removed(config: Mapping[str, object]) -> tuple[str, ...]:
     """Remove terms that are null, and return their config keys. Add missing config sections as empty mappings."""
     env = config.get("env")
     if not isinstance(env, dict):
@@ -151,7 +151,7 @@ def drop_removed(config: dict[str, Any]) -> tuple[str, ...]:
     return tuple(removed)
 
 
-def _drop_null(parent: dict[str, Any], key: str, path: str) -> list[str]:
+def _drop_null(parent: dict[str, object], key: str, path: str) -> list[str]:
     section = parent[key]
     if not isinstance(section, dict):
         return []
@@ -184,7 +184,7 @@ def split_node(kind: str, path: str, node: object) -> TermNode:
     return TermNode(path.rsplit(".", 1)[-1], path, str(node[TARGET]), fields, params)
 
 
-def walk_nodes(node: object, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+def walk_nodes(node: object, path: str = "") -> Iterator[tuple[str, Mapping[str, object]]]:
     """Yield ``(path, mapping)`` for each mapping in a config; a path is like ``a.b``, or ``a[0].b`` in a list."""
     if isinstance(node, Mapping):
         yield path, node
@@ -195,7 +195,7 @@ def walk_nodes(node: object, path: str = "") -> Iterator[tuple[str, Mapping[str,
             yield from walk_nodes(value, f"{path}[{index}]")
 
 
-def target_arguments(node: Mapping[str, object], path: str) -> dict[str, Any]:
+def target_arguments(node: Mapping[str, object], path: str) -> dict[str, object]:
     """Return the keyword arguments in a ``_target_`` node, which are all keys except ``_target_``."""
     for key in node:
         if key in _HYDRA_ONLY:
@@ -204,7 +204,7 @@ def target_arguments(node: Mapping[str, object], path: str) -> dict[str, Any]:
     return {str(key): value for key, value in node.items() if key != TARGET}
 
 
-def resolve_target(target: str, path: str) -> Callable[..., Any]:
+def resolve_target(target: str, path: str) -> Callable[..., object]:
     """Import and return the function or class with the dotted path ``target``, which must be in an allowed package."""
     target = _MOVED.get(target, target)
     require_allowed(target, path)
@@ -236,7 +236,7 @@ def resolve_target(target: str, path: str) -> Callable[..., Any]:
     return found
 
 
-def resolve_class(name: object) -> Any:
+def resolve_class(name: object) -> Callable[..., object] | None:
     """Return the class or function that a ``class_name`` in an agent config names, or None if the name does not exist.
 
     Raise ConfigError if rsl_rl cannot import the module that ``class_name`` names.
@@ -247,7 +247,8 @@ def resolve_class(name: object) -> Any:
     packages.make_importable(text)
     try:
         with importing(text):
-            return resolve_callable(name)
+            found: Callable[..., object] = resolve_callable(name)
+        return found
     except Exception as error:
         absent = isinstance(error, ImportError) and (error.name is None or f"{text}.".startswith(f"{error.name}."))
         if absent or isinstance(error, AttributeError) or "." not in text:
@@ -255,7 +256,7 @@ def resolve_class(name: object) -> Any:
         raise ConfigError(f"cannot import '{text}': {in_words(error)}", expected="a module that imports") from error
 
 
-def takes_cfg(target: Callable[..., Any]) -> bool:
+def takes_cfg(target: Callable[..., object]) -> bool:
     """Return whether ``target`` is a class with the constructor ``(cfg, env)``, as in Isaac Lab.
 
     A subclass of an Isaac Lab class may also have the constructor ``(env, cfg)``.
@@ -266,7 +267,7 @@ def takes_cfg(target: Callable[..., Any]) -> bool:
     return first == _CFG_ENV or (first == _CFG_ENV[::-1] and any(takes_cfg(kind) for kind in target.__mro__[1:-1]))
 
 
-def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
+def read_from(target: Callable[..., object]) -> Callable[..., object]:
     """Return the function or class that defines which parameters a term's config can set.
 
     For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or the class of ``cfg`` if
@@ -274,16 +275,16 @@ def read_from(target: Callable[..., Any]) -> Callable[..., Any]:
     defines its parameters itself.
     """
     if hasattr(target, "from_config"):
-        return cast(Callable[..., Any], target.from_config)
+        return cast(Callable[..., object], target.from_config)
     if not takes_cfg(target):
         return target
     if inspect.isclass(target) and any("__call__" in vars(kind) for kind in target.__mro__[:-1]):
-        called: Callable[..., Any] = vars(next(k for k in target.__mro__ if "__call__" in vars(k)))["__call__"]
+        called: Callable[..., object] = vars(next(k for k in target.__mro__ if "__call__" in vars(k)))["__call__"]
         return called
     return cfg_class(target) or target
 
 
-def cfg_class(target: Callable[..., Any]) -> type | None:
+def cfg_class(target: Callable[..., object]) -> type | None:
     """Return the class in the type annotation of the constructor's parameter ``cfg``; None if there is no class."""
     made = vars(target).get("__init__") or target.__init__
     found = made.__annotations__.get("cfg")
@@ -295,7 +296,7 @@ def cfg_class(target: Callable[..., Any]) -> type | None:
     return found if inspect.isclass(found) else None
 
 
-def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
+def written_for_isaac_lab(target: Callable[..., object]) -> bool:
     """Return whether a term's module imports ``wheelleg_exp.isaaclab``: such a term draws from global generators."""
     module = sys.modules.get(getattr(target, "__module__", ""))
     found = vars(module).values() if module is not None else ()
@@ -304,7 +305,7 @@ def written_for_isaac_lab(target: Callable[..., Any]) -> bool:
     return any(f"{name}.".startswith(_ISAAC_LAB) for name in names)
 
 
-def signature_parameters(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+def signature_parameters(target: Callable[..., object]) -> dict[str, inspect.Parameter]:
     """Return the parameters of ``target`` that a config can set; the program passes positional-only parameters."""
     parameters = inspect.signature(read_from(target)).parameters.values()
     settable = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
