@@ -7,10 +7,11 @@ import io
 import itertools
 import re
 from contextlib import redirect_stdout
-from typing import Any
 
 import torch
+from rsl_rl.algorithms import PPO, Distillation
 from rsl_rl.utils import resolve_callable
+from tensordict import TensorDict
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.machine import require_memory
@@ -29,7 +30,7 @@ OWN_KEYS = (
 )
 
 
-def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> Any:
+def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> PPO | Distillation:
     """Build rsl_rl's algorithm from the options of the agent. Raise ConfigError for an invalid config value."""
     observations = env.get_observations()
     for role, groups in agent.obs_groups.items():
@@ -51,10 +52,12 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     if torch.device(agent.device).type == "cpu":
         _require_memory(env, observations, agent)
     options = agent.symmetry if isinstance(agent, Agent) else None
-    env.mirror = options and Mirror(env.env, options, _seen(agent, observations, options), agent.device)
+    groups = [] if options is None else _seen(agent, observations, options)
+    env.mirror = None if options is None else Mirror(env.env, options, groups, agent.device)
     # Copy the options, because rsl_rl changes them. Redirect stdout, because rsl_rl prints the networks.
     config = copy.deepcopy({key: value for key, value in plain_section(agent).items() if key not in OWN_KEYS})
-    config["multi_gpu"] = ranks.for_rsl_rl()
+    of_rank = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.size}
+    config["multi_gpu"] = of_rank if ranks.together else None
     make_classes_importable(config)
     try:
         with redirect_stdout(io.StringIO()), ending_as(ConfigError):
@@ -80,7 +83,7 @@ def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:
     return MirroredHalf(Mirror(env.env, options, groups, env.device), env.num_envs)
 
 
-def _seen(agent: Learning, observations: Any, options: SymmetryOptions) -> list[str]:
+def _seen(agent: Learning, observations: TensorDict, options: SymmetryOptions) -> list[str]:
     """Return the observation groups that need mirror images: those of actor, critic, and RND.
 
     RND (random network distillation) rewards new states, and the mirror image of a known state must not count as new.
@@ -91,7 +94,7 @@ def _seen(agent: Learning, observations: Any, options: SymmetryOptions) -> list[
     return [group for role in roles for group in sets[role]]
 
 
-def _require_memory(env: RslRlVecEnv, observations: Any, agent: Learning) -> None:
+def _require_memory(env: RslRlVecEnv, observations: TensorDict, agent: Learning) -> None:
     """Raise ConfigError if the rollout buffer (float32) and the networks do not fit into memory."""
     steps, widths = agent.num_steps_per_env, {g: v.shape[1] for g, v in observations.items()}
     samples = env.num_envs * steps

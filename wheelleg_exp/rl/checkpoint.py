@@ -8,7 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -18,6 +18,9 @@ from wheelleg_exp.plain_data import require_bounded
 from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state import cloned
 from wheelleg_exp.state.old_layout import from_format_2
+
+if TYPE_CHECKING:
+    from rsl_rl.algorithms import PPO, Distillation
 
 FORMAT_VERSION = 3
 # Checkpoints of version 1 contain the networks, but not all state that is needed to resume a training. In version 2,
@@ -65,7 +68,7 @@ def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
     return state
 
 
-def read_tensors(path: Path) -> Any:
+def read_tensors(path: Path) -> object:
     """Return what ``torch.save`` wrote, as tensors in plain containers, and run no code from the file.
 
     A damaged file raises any exception. Too many objects, too much nesting, or too large tensors raise ValueError.
@@ -119,7 +122,7 @@ def require_resumable(state: Mapping[str, object]) -> None:
         raise RunDirectoryError(message, expected=expected)
 
 
-def _rebuilt(value: object) -> Any:
+def _rebuilt(value: object) -> object:
     """Return a deep copy of nested containers in which no object is shared.
 
     Equal states must give equal bytes, but pickle writes an object only once if the state contains it twice.
@@ -138,12 +141,12 @@ def roles_of(algorithm: object) -> tuple[str, ...]:
     return tuple(role for role in ROLES if hasattr(algorithm, role))
 
 
-def policy_state(state: Mapping[str, object]) -> Any:
+def policy_state(state: Mapping[str, object]) -> object:
     """Return the policy's parameters in a checkpoint: the average if there is one, else those of student or actor."""
     return state.get(STATE) or state.get("student_state_dict") or state["actor_state_dict"]
 
 
-def unsaved_state(algorithm: Any) -> dict[str, object]:
+def unsaved_state(algorithm: PPO | Distillation) -> dict[str, object]:
     """Return state that rsl_rl does not save: hidden states, the state of RND, the progress of a distillation."""
     hidden = {role: cloned(getattr(algorithm, role).get_hidden_state()) for role in roles_of(algorithm)}
     state: dict[str, object] = {"learning_rate": float(algorithm.learning_rate), "hidden": hidden}
@@ -156,7 +159,7 @@ def unsaved_state(algorithm: Any) -> dict[str, object]:
     return state
 
 
-def load_unsaved_state(algorithm: Any, saved: dict[str, Any]) -> None:
+def load_unsaved_state(algorithm: PPO | Distillation, saved: Mapping[str, Any]) -> None:
     """Restore what ``unsaved_state`` returned."""
     algorithm.learning_rate = saved["learning_rate"]
     for role, hidden in saved["hidden"].items():

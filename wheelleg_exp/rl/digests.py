@@ -38,9 +38,9 @@ def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])
 
 
-def format_of(state: Mapping[str, Any]) -> int:
+def format_of(state: Mapping[str, object]) -> int:
     """Return the digest format of a checkpoint, which depends on the layout of the environment's state."""
-    return FORMAT if state["format_version"] >= 3 else 1
+    return 1 if state["format_version"] in (1, 2) else FORMAT
 
 
 def networks(state: Mapping[str, object]) -> dict[str, object]:

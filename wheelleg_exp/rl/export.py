@@ -38,13 +38,13 @@ def onnx(policy: MLPModel) -> bytes:
     """Return the deterministic policy as one ONNX file that takes any batch size."""
     model = policy.as_onnx(verbose=False).eval()
     names = {"input_names": model.input_names, "output_names": model.output_names}
-    axes = {name: {0: "batch"} for name in (*model.input_names, *model.output_names)}
+    names["dynamic_axes"] = {name: {0: "batch"} for name in (*model.input_names, *model.output_names)}
     file: Any = io.BytesIO()
     # Use torch's old tracing ONNX exporter, because `torch.export` takes two seconds and caches data per batch size.
-    settings: dict[str, Any] = {"opset_version": _OPSET, "dynamo": False, "verbose": False}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(model, model.get_dummy_inputs(), file, **names, dynamic_axes=axes, **settings)
+        inputs = model.get_dummy_inputs()
+        torch.onnx.export(model, inputs, file, **names, opset_version=_OPSET, dynamo=False, verbose=False)
     return bytes(file.getvalue())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, not_one_of
 from wheelleg_exp.managers.observation_term import ObservationTerm
+from wheelleg_exp.managers.term_interface import Ids, SceneEntityCfg
 from wheelleg_exp.rl.mirror_pairs import MIRROR, BodyImages
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.sensors import Imu, RayCaster
@@ -90,6 +91,7 @@ def unknown_rule_error(rule: str, term: str) -> ConfigError:
 
 
 SignedSources = list[tuple[int, float]]
+_Item = TypeVar("_Item")
 _MAX_OFFSET = 1e-4  # m
 _MAX_SIGN_ERROR = 1e-3
 
@@ -195,9 +197,10 @@ class TermMirror:
         if rule in BODY_RULES:
             return self._bodies_of(rule, term, path)
         if rule == "rays":
-            return mirror_rays(self._sensor(term, "sensor_cfg"), self._bodies, path)
+            return mirror_rays(self._env.scene[self._entity(term, "sensor_cfg").name], self._bodies, path)
         if rule in IMU_RULES:
-            return mirror_imu(self._sensor(term, "asset_cfg"), IMU_RULES[rule], self._bodies, path)
+            sensor = self._env.scene[self._entity(term, "asset_cfg").name]
+            return mirror_imu(sensor, IMU_RULES[rule], self._bodies, path)
         entity = term.term.params.get("asset_cfg")
         names = self._env.scene.robot.joint_names
         ids = _chosen(getattr(entity, "joint_ids", slice(None)), list(range(len(names))))
@@ -220,11 +223,8 @@ class TermMirror:
         names = (kind.__name__ for kind in type(found).__mro__)
         return next((COMMAND_RULES[name] for name in names if name in COMMAND_RULES), None)
 
-    def _sensor(self, term: ObservationTerm, parameter: str) -> Any:
-        return self._env.scene[self._entity(term, parameter).name]
-
-    def _entity(self, term: ObservationTerm, parameter: str) -> Any:
-        found = term.term.params.get(parameter)
+    def _entity(self, term: ObservationTerm, parameter: str) -> SceneEntityCfg:
+        found: SceneEntityCfg | None = term.term.params.get(parameter)
         if found is None:
             message = f"the observation has no {parameter}"
             raise ConfigError(message, key=term.term.path, expected="a parameter that names the sensor")
@@ -245,5 +245,5 @@ class TermMirror:
         return found
 
 
-def _chosen(ids: Any, every: list[Any]) -> list[Any]:
+def _chosen(ids: Ids, every: list[_Item]) -> list[_Item]:
     return every[ids] if isinstance(ids, slice) else [every[int(i)] for i in ids]

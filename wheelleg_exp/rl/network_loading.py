@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rsl_rl.algorithms import PPO, Distillation
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
@@ -15,6 +16,9 @@ from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
+
+# The tensors whose columns are a network's inputs, and the value that a new input has.
+_INPUTS = {"mlp.0.weight": 0.0, "obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class Initial:
     facts: Mapping[str, Any]
 
 
-def load_teacher(algorithm: Any, state: Mapping[str, object]) -> None:
+def load_teacher(algorithm: Distillation, state: Mapping[str, object]) -> None:
     """Load the policy of a checkpoint into the teacher network of a distillation."""
     try:
         algorithm.load({"actor_state_dict": checkpoint.policy_state(state)}, {"teacher": True}, True)
@@ -40,7 +44,7 @@ def load_teacher(algorithm: Any, state: Mapping[str, object]) -> None:
         raise ConfigError(message, key="agent.teacher_checkpoint", expected=expected) from error
 
 
-def load_initial(algorithm: Any, initial: Initial, env: RslRlVecEnv, obs_groups: Mapping[str, Sequence[str]]) -> None:
+def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups: Mapping[str, Sequence[str]]) -> None:
     """Load the networks of a checkpoint into an rsl_rl algorithm.
 
     Observation terms that are new and at the end of a network's inputs get weights of 0.
@@ -53,7 +57,9 @@ def load_initial(algorithm: Any, initial: Initial, env: RslRlVecEnv, obs_groups:
         if further := initial.facts.get("further", {}).get(role):
             slices = env.env.observation_manager.term_slices(obs_groups[role][-1])
             more = sum(slices[name].stop - slices[name].start for name in further)
-            state[f"{role}_state_dict"] = _widened(state[f"{role}_state_dict"], more)
+            network, pad = state[f"{role}_state_dict"], torch.nn.functional.pad
+            wide = {n: pad(network[n], (0, more), value=value) for n, value in _INPUTS.items() if n in network}
+            state[f"{role}_state_dict"] = {**network, **wide}
         has = {name: list(value.shape) for name, value in state[f"{role}_state_dict"].items()}
         needs = {name: list(value.shape) for name, value in own.items()}
         name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
@@ -68,17 +74,6 @@ def load_initial(algorithm: Any, initial: Initial, env: RslRlVecEnv, obs_groups:
         message = f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}"
         expected = "networks, or the algorithm and the optimiser that it was trained with"
         raise ConfigError(message, key="init_from_what", expected=expected) from error
-
-
-# The tensors whose columns are a network's inputs, and the value that a new input has.
-_INPUTS = {"mlp.0.weight": 0.0, "obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
-
-
-def _widened(state: Mapping[str, torch.Tensor], more: int) -> dict[str, torch.Tensor]:
-    """Return a network's state with ``more`` inputs at the end."""
-    pad = torch.nn.functional.pad
-    wide = {name: pad(state[name], (0, more), value=value) for name, value in _INPUTS.items() if name in state}
-    return {**state, **wide}
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Learning) -> MLPModel:

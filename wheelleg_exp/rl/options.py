@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Count, Natural, NonNegative, NotEmpty, Parameters, Positive, Rising
@@ -110,7 +110,7 @@ class DistillationAgent(Learning):
 
 
 # rsl_rl accepts invalid values, so each key in ``PARAMETERS`` is checked wherever it occurs in the section `agent`.
-PARAMETERS: dict[str, Any] = {
+PARAMETERS: dict[str, object] = {
     "num_learning_epochs": Count,
     "num_mini_batches": Count,
     "clip_param": Positive,

@@ -9,12 +9,14 @@ communication of the ranks. rsl_rl itself updates algorithms that ``can_capture_
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
-from rsl_rl.algorithms import PPO
+from rsl_rl.algorithms import PPO, Distillation
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
+from tensordict import TensorDict
 from torch import nn
 
 from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
@@ -25,12 +27,12 @@ _MIRROR_LOSS = "symmetry"  # rsl_rl's name
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
-def can_capture_update(algorithm: Any) -> bool:
+def can_capture_update(algorithm: PPO | Distillation) -> bool:
     """Return whether an update can be captured: plain PPO on a GPU, with or without the mirror loss."""
     return torch.device(algorithm.device).type == "cuda" and is_plain_ppo(algorithm)
 
 
-def is_plain_ppo(algorithm: Any) -> bool:
+def is_plain_ppo(algorithm: PPO | Distillation) -> bool:
     """Return whether an algorithm is rsl_rl's PPO with Adam, MLPs, and no extension except a mirror loss."""
     if type(algorithm) is not PPO or type(algorithm.optimizer) is not torch.optim.Adam:
         return False
@@ -130,7 +132,7 @@ class CapturedUpdate:
         updates = algorithm.num_learning_epochs * count
         return {name: total / updates for name, total in zip(self._losses, sums, strict=True)}
 
-    def _each(self, order: torch.Tensor, work: Any) -> None:
+    def _each(self, order: torch.Tensor, work: Callable[[], None]) -> None:
         for _ in range(self._algorithm.num_learning_epochs):
             for rows in order:
                 self._rows.copy_(rows)
@@ -219,10 +221,10 @@ class CapturedActing:
         self._graph: Any = None
         self._captured: tuple[int, ...] = ()
         self._observations: Any = None
-        self._found: dict[str, Any] = {}
+        self._found: dict[str, object] = {}
         self._acted = False
 
-    def __call__(self, observations: Any) -> torch.Tensor:
+    def __call__(self, observations: TensorDict) -> torch.Tensor:
         """Return actions (N, A) for ``observations``, a mapping from observation groups to tensors."""
         algorithm = self._algorithm
         if algorithm.storage.step == 0:
@@ -235,16 +237,15 @@ class CapturedActing:
         for group, values in self._observations.items():
             values.copy_(observations[group])
         self._graph.replay()
-        transition, found = algorithm.transition, self._found
-        transition.hidden_states = (None, None)
-        transition.actions = found["actions"].clone()  # The next replay of the CUDA graph overwrites ``found``.
-        for name in ("values", "actions_log_prob", "distribution_params"):
-            setattr(transition, name, found[name])
-        transition.observations = observations
-        actions: torch.Tensor = transition.actions
+        transition = algorithm.transition
+        transition.hidden_states, transition.observations = (None, None), observations
+        for name, value in self._found.items():
+            setattr(transition, name, value)
+        actions: torch.Tensor = transition.actions.clone()  # The next replay of the CUDA graph overwrites ``_found``.
+        transition.actions = actions
         return actions
 
-    def _capture(self, observations: Any) -> None:
+    def _capture(self, observations: TensorDict) -> None:
         self._observations = observations.clone()
         torch.cuda.synchronize()
         self._graph = torch.cuda.CUDAGraph()
@@ -252,7 +253,7 @@ class CapturedActing:
             self._found = self._computed()
         self._captured = _addresses(self._algorithm)
 
-    def _computed(self) -> dict[str, Any]:
+    def _computed(self) -> dict[str, object]:
         """Return the data that rsl_rl's ``PPO.act`` stores for the policy update.
 
         torch's own sampling is not used, because it waits for the GPU.

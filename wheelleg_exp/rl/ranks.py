@@ -77,14 +77,6 @@ def left() -> Left:
     return Left(message, key=f"rank {os.environ.get('RANK', '0')}", expected=expected)
 
 
-def error_facts(error: WheellegError | None) -> dict[str, str | None]:
-    """Return the attributes of an error, such as its message and config key, as a dictionary; {} for None."""
-    if error is None:
-        return {}
-    facts = {name: getattr(error, name) for name in ("message", "key", "where", "expected", "nearest")}
-    return {**facts, "failed": "yes" if error.exit_code == EXIT_FAILED else None}
-
-
 # All processes (ranks) wait at most 30 minutes for one rank that converts a robot or compiles kernels.
 _PATIENCE = timedelta(minutes=30)
 
@@ -138,10 +130,6 @@ class Ranks:
             message = f"there are {self.locals} processes on this machine and {torch.cuda.device_count()} GPUs"
             raise ConfigError(message, key=key, expected="as many GPUs as torchrun's --nproc-per-node")
         return f"cuda:{self.local}"
-
-    def for_rsl_rl(self) -> dict[str, int] | None:
-        """Return the value of rsl_rl's parameter ``multi_gpu``; None if one process trains alone."""
-        return {"global_rank": self.rank, "local_rank": self.local, "world_size": self.size} if self.together else None
 
     def facts(self, seed: int, device: str) -> dict[str, object] | None:
         """Return the manifest's entry about the ranks: number, backend, and the seed, device, and host of each."""
@@ -210,7 +198,11 @@ class Ranks:
         except WheellegError as error:
             mine = error
         if self.any(mine is not None):
-            received = self.gather({"error": error_facts(mine), "evidence": dict(getattr(mine, "evidence", {}))})
+            own = {}
+            if mine is not None:
+                own = {name: getattr(mine, name) for name in ("message", "key", "where", "expected", "nearest")}
+                own["failed"] = "yes" if mine.exit_code == EXIT_FAILED else None
+            received = self.gather({"error": own, "evidence": dict(getattr(mine, "evidence", {}))})
             rank, found = next(((rank, found) for rank, found in enumerate(received) if found["error"]), (0, {}))
             saves_state = self.from_first(bool(found.get("evidence")))
             if not self.first:

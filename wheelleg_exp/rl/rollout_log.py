@@ -25,7 +25,7 @@ class FailureCount:
     def __init__(self, num_envs: int, max_non_finite: float) -> None:
         self._num_envs = num_envs
         self._allowed = max(1, int(max_non_finite * num_envs))
-        self._evidence: Mapping[str, Any] = {}
+        self._evidence: Mapping[str, torch.Tensor] = {}
         self.episodes = 0
         self.by_key: Counter[str] = Counter()
 
@@ -68,7 +68,7 @@ class EpisodeLog:
         self._returns: deque[float] = deque(maxlen=_EPISODES)
         self._lengths: deque[float] = deque(maxlen=_EPISODES)
         self._values: defaultdict[str, list[float]] = defaultdict(list)
-        self._pending: list[dict[str, Any]] = []
+        self._pending: list[Mapping[str, torch.Tensor | float]] = []
         self._non_finite: Counter[str] = Counter()
 
     def step(self, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, Any]) -> None:
@@ -126,15 +126,15 @@ class EpisodeLog:
         self._non_finite = Counter(saved["non_finite"])
 
 
-def _numbers(log: Mapping[str, Any]) -> dict[str, float]:
+def _numbers(log: Mapping[str, torch.Tensor | float]) -> dict[str, float]:
     """Return a log as Python numbers; tensors of equal dtype are copied together, because a copy waits for the GPU."""
-    kinds: defaultdict[tuple[torch.dtype, torch.device], list[str]] = defaultdict(list)
+    kinds: defaultdict[tuple[torch.dtype, torch.device], dict[str, torch.Tensor]] = defaultdict(dict)
     for key, value in log.items():
         if isinstance(value, torch.Tensor):
-            kinds[value.dtype, value.device].append(key)
-    found: dict[str, Any] = dict(log)
-    for keys in kinds.values():
-        found.update(zip(keys, torch.stack([log[key].reshape(()) for key in keys]).tolist(), strict=True))
+            kinds[value.dtype, value.device][key] = value.reshape(())
+    found = dict(log)
+    for tensors in kinds.values():
+        found.update(zip(tensors, torch.stack(list(tensors.values())).tolist(), strict=True))
     return {key: float(value) for key, value in found.items()}
 
 

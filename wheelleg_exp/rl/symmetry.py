@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import torch
-from rsl_rl.algorithms import PPO
+from rsl_rl.algorithms import PPO, Distillation
+from rsl_rl.env import VecEnv
 from rsl_rl.extensions import Symmetry
+from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch import nn
 
@@ -64,7 +65,7 @@ class Mirror:
         turned = {**dict(observations.items()), **self.images(observations)}
         return TensorDict(turned, batch_size=observations.batch_size)
 
-    def images(self, observations: Mapping[str, Any] | TensorDict) -> dict[str, torch.Tensor]:
+    def images(self, observations: TensorDict) -> dict[str, torch.Tensor]:
         """Return the mirror images of the observation groups that networks read."""
         groups = self._groups.items()
         return {name: observations[name].index_select(1, sources) * signs for name, (sources, signs) in groups}
@@ -158,14 +159,15 @@ class MirroredHalf:
         """Return the policy's raw actions (N, A) with mirrored actions for every second environment."""
         return torch.where(self._mirrored, self._mirror.actions(actions), actions)
 
-    def observations(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+    def observations(self, observations: TensorDict) -> TensorDict:
         """Return observations (N, ...), in which groups that networks read are mirrored in every second environment."""
-        images = self._mirror.images(observations)
-        return {**observations, **{g: torch.where(self._mirrored, v, observations[g]) for g, v in images.items()}}
+        images = self._mirror.images(observations).items()
+        mixed = {group: torch.where(self._mirrored, image, observations[group]) for group, image in images}
+        return TensorDict({**dict(observations.items()), **mixed}, batch_size=observations.batch_size)
 
 
 def left_right(
-    env: Any, obs: TensorDict | None = None, actions: torch.Tensor | None = None
+    env: VecEnv, obs: TensorDict | None = None, actions: torch.Tensor | None = None
 ) -> tuple[TensorDict | None, torch.Tensor | None]:
     """Return observations and actions (B, A), followed by their mirror images, for rsl_rl's symmetry extension."""
     mirror: Mirror = env.mirror
@@ -178,13 +180,13 @@ def _index_and_sign_tensors(turned: SignedSources, device: str | torch.device) -
     return sources, torch.tensor([sign for _, sign in turned], device=device)
 
 
-def is_mirror_loss_only(symmetry: Any) -> bool:
+def is_mirror_loss_only(symmetry: Symmetry) -> bool:
     """Return whether ``symmetry`` uses ``left_right`` for the mirror loss, but not for data augmentation."""
     ours = type(symmetry) is Symmetry and symmetry.data_augmentation_func is left_right
     return ours and not symmetry.use_data_augmentation
 
 
-def replace_mirror_loss(algorithm: Any) -> None:
+def replace_mirror_loss(algorithm: PPO | Distillation) -> None:
     """Replace the mirror loss of rsl_rl's PPO by ``mirror_loss``, except for user-defined or recurrent classes."""
     if type(algorithm) is not PPO or algorithm.actor.is_recurrent or not is_mirror_loss_only(algorithm.symmetry):
         return
@@ -192,7 +194,7 @@ def replace_mirror_loss(algorithm: Any) -> None:
     symmetry.compute_loss = lambda actor, batch, _: mirror_loss(symmetry, actor, batch.observations)
 
 
-def mirror_loss(symmetry: Symmetry, actor: Any, observations: Any) -> torch.Tensor:
+def mirror_loss(symmetry: Symmetry, actor: MLPModel, observations: TensorDict) -> torch.Tensor:
     """Return the mean squared difference between the actions for mirrored observations and the mirrored actions.
 
     The mirror loss and its gradient equal those of ``Symmetry.compute_loss`` in rsl_rl 5.5. rsl_rl evaluates the policy

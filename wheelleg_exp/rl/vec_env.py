@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
+from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf
 
 
 class RslRlVecEnv(VecEnv):
@@ -28,8 +27,8 @@ class RslRlVecEnv(VecEnv):
         self.cfg = dict(env.cfg)
         self._clip_actions = clip_actions
         self._is_finite = env.options.is_finite_horizon
-        self.mirror: Any = None  # ``mirror`` mirrors samples for rsl_rl's symmetry extension.
-        self.half: Any = None  # ``half`` mirrors every second environment during training.
+        self.mirror: Mirror | None = None  # ``mirror`` mirrors samples for rsl_rl's symmetry extension.
+        self.half: MirroredHalf | None = None  # ``half`` mirrors every second environment during training.
         env.reset()
 
     @property
@@ -66,6 +65,5 @@ class RslRlVecEnv(VecEnv):
         return self._as_tensordict(observations), rewards, dones, {**extras, **time_limits}
 
     def _as_tensordict(self, observations: Observations) -> TensorDict:
-        if self.half is not None:
-            observations = self.half.observations(observations)
-        return TensorDict(dict(observations), batch_size=[self.num_envs])
+        found = TensorDict(dict(observations), batch_size=[self.num_envs])
+        return found if self.half is None else self.half.observations(found)
