@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -99,24 +100,17 @@ class SpyObservation(Spy):
 class SpyRecorder(Spy, RecorderTerm):
     kind = "recorder"
 
-    def _log(self, hook: str) -> Any:
-        LOG.append(f"recorder {hook}")
+
+def _record(hook: str) -> Callable[..., tuple[None, None]]:
+    def record(self: SpyRecorder, *env_ids: torch.Tensor) -> tuple[None, None]:
+        LOG.append(" ".join([f"recorder {hook}", *(str(ids.tolist()) for ids in env_ids)]))
         return None, None
 
-    def record_pre_step(self) -> Any:
-        return self._log("pre_step")
+    return record
 
-    def record_post_physics_decimation_step(self) -> Any:
-        return self._log("post_physics")
 
-    def record_post_step(self) -> Any:
-        return self._log("post_step")
-
-    def record_pre_reset(self, env_ids: torch.Tensor) -> Any:
-        return self._log(f"pre_reset {env_ids.tolist()}")
-
-    def record_post_reset(self, env_ids: torch.Tensor) -> Any:
-        return self._log(f"post_reset {env_ids.tolist()}")
+for _hook in ("pre_step", "post_physics_decimation_step", "post_step", "pre_reset", "post_reset"):
+    setattr(SpyRecorder, f"record_{_hook}", _record(_hook.removesuffix("_decimation_step")))
 
 
 class SpyTermination(Spy):

@@ -35,7 +35,6 @@ def test_commands_and_times_between_draws_are_uniform_in_their_ranges(start_env)
 
 
 def test_a_command_is_redrawn_when_its_time_is_up(start_env):
-    """With 0.02 s a step, the timer of 0.1 s expires in the fifth or, by rounding, in the sixth step."""
     env, term = _env(start_env)
     at = []
     for step in range(1, 12):
@@ -65,9 +64,8 @@ def test_a_fresh_timer_loses_a_control_step_at_an_automatic_reset(start_env):
     torch.testing.assert_close(term.time_left, torch.full((4,), 0.98))
 
 
-@pytest.mark.parametrize("fields", [{}, {"ranges": RANGES | {"heading": [3.0, 3.0]}, "heading_command": True}])
-def test_standing_robots_get_zero_commands_in_each_step_from_the_first_compute_on(start_env, fields):
-    env, term = _env(start_env, rel_standing_envs=1.0, resampling_time_range=[9.0, 9.0], **fields)
+def test_standing_robots_get_zero_commands_in_each_step(start_env):
+    env, term = _env(start_env, rel_standing_envs=1.0, resampling_time_range=[9.0, 9.0])
     assert (term.command[:, 1] != 0).all()
     for _ in range(3):
         env.step(STILL)
@@ -75,30 +73,21 @@ def test_standing_robots_get_zero_commands_in_each_step_from_the_first_compute_o
         term.command[:] = 1.0
 
 
-def test_the_share_that_stands_is_the_configured_one(start_env):
-    env, term = _env(start_env, rel_standing_envs=0.4, num_envs=3000)
-    env.command_manager.compute(0.02)
-    standing = (term.command == 0).all(dim=1)
-    assert float(standing.float().mean()) == pytest.approx(0.4, abs=0.03)
-    assert torch.equal(standing, term.is_standing_env)
-
-
-def test_the_share_that_follows_a_heading_is_the_configured_one(start_env):
-    ranges = RANGES | {"heading": [3.0, 3.0], "ang_vel_z": [0.1, 0.2]}
-    _, term = _env(start_env, ranges=ranges, heading_command=True, rel_heading_envs=0.3, num_envs=3000)
-    drawn = term.command[:, 2].clone()
-    term.compute(0.02)
-    steered = term.command[:, 2] != drawn
-    assert float(steered.float().mean()) == pytest.approx(0.3, abs=0.03)
-    assert (term.command[steered, 2] == 0.2).all()
-
-
 def test_standing_and_following_a_heading_are_drawn_independently(start_env):
-    shares = {"heading_command": True, "rel_heading_envs": 0.5, "rel_standing_envs": 0.5}
-    _, term = _env(start_env, ranges=RANGES | {"heading": [3.0, 3.0]}, num_envs=3000, **shares)
-    assert float((term.is_heading_env & term.is_standing_env).float().mean()) == pytest.approx(0.25, abs=0.03)
-    drawn = torch.stack((term.command[:, 0], term.is_standing_env.float(), term.is_heading_env.float()))
-    assert (torch.corrcoef(drawn) - torch.eye(3)).abs().max() < 0.06
+    """Both act from the first ``compute`` on: the drawn yaw rate is at most 0.2, and a heading of 3 demands more."""
+    shares = {"heading_command": True, "rel_heading_envs": 0.5, "rel_standing_envs": 0.4}
+    ranges = RANGES | {"heading": [3.0, 3.0], "ang_vel_z": [0.1, 0.2]}
+    _, term = _env(start_env, ranges=ranges, num_envs=3000, **shares)
+    stands, follows, drawn = term.is_standing_env, term.is_heading_env, term.command.clone()
+    found = [float(chosen.float().mean()) for chosen in (stands, follows, stands & follows)]
+    assert found == pytest.approx([0.4, 0.5, 0.2], abs=0.03)
+    values = torch.stack((drawn[:, 0], stands.float(), follows.float()))
+    assert (torch.corrcoef(values) - torch.eye(3)).abs().max() < 0.06
+    assert ((drawn[:, 2] >= 0.1) & (drawn[:, 2] < 0.2)).all()
+    term.compute(0.02)
+    assert torch.equal((term.command == 0).all(dim=1), stands)
+    assert torch.equal(term.command[:, 2] == 0.2, follows & ~stands)
+    assert torch.equal(term.command[~follows & ~stands], drawn[~follows & ~stands])
 
 
 def test_headings_are_followed_proportionally_and_clipped(start_env):
@@ -117,15 +106,6 @@ def test_headings_are_followed_proportionally_and_clipped(start_env):
         robot.write_root_pose_to_sim(torch.cat((robot.data.root_pos_w.clone(), quat), dim=1), torch.arange(4))
         env.command_manager.compute(0.0)
         torch.testing.assert_close(term.command[:, 2], torch.full((4,), expected), atol=1e-5, rtol=0)
-
-
-def test_the_heading_acts_only_from_the_first_compute_on(start_env):
-    ranges = RANGES | {"heading": [3.0, 3.0], "ang_vel_z": [0.1, 0.2]}
-    env, term = _env(start_env, ranges=ranges, heading_command=True)
-    drawn = term.command[:, 2].clone()
-    assert ((drawn >= 0.1) & (drawn <= 0.2)).all()
-    env.step(STILL)
-    assert term.command[:, 2].tolist() == pytest.approx([0.2] * 4)
 
 
 def test_metrics_are_divided_by_the_longest_command_time_and_logged_as_means(start_env):

@@ -74,23 +74,14 @@ def test_the_first_sample_after_a_reset_fills_the_history_of_its_environments(ma
     assert (out[1].tolist(), out[0].tolist()) == ([9, 9, 9], [3, 4, 9])
 
 
-def test_histories_are_flattened_term_by_term_with_the_scaled_samples(make_env):
-    env = _env(make_env, {"x": _value("x", scale=2.0), "y": _value("y")}, history_length=2)
-    for x, y in ((1.0, 10.0), (2.0, 20.0)):
-        spies.VALUES.update(y=y)
-        out = _series(env, "x", x)
-    assert out[0].tolist() == [2, 4, 10, 20]
-
-
-def test_a_term_of_several_columns_is_flattened_sample_by_sample(make_env):
-    env = _env(make_env, {"q": {"_target_": O + "joint_pos"}}, history_length=2)
-    robot = env.scene.robot
-    frames = []
-    for _ in range(3):
+def test_histories_are_flattened_by_term_and_then_by_sample_and_hold_scaled_samples(make_env):
+    env = _env(make_env, {"x": _value("x", scale=2.0), "q": {"_target_": O + "joint_pos"}}, history_length=2)
+    robot, frames = env.scene.robot, []
+    for x in (1.0, 2.0, 3.0):
         robot.write_joint_state_to_sim(torch.randn(4, 4), torch.zeros(4, 4), env_ids=torch.arange(4))
         frames.append(robot.data.joint_pos.clone())
-        out = _read(env)
-    assert torch.equal(out, torch.cat(frames[1:], dim=1))
+        out = _series(env, "x", x)
+    assert torch.equal(out, torch.cat((torch.tensor([[4.0, 6.0]] * 4), *frames[1:]), dim=1))
 
 
 def test_unflattened_histories_have_a_time_axis(make_env):
@@ -134,19 +125,14 @@ def test_terms_and_groups_follow_the_order_of_the_config(make_env):
     assert env.observation_manager.term_slices("late") == {"z": slice(0, 1), "a": slice(1, 2), "m": slice(2, 3)}
 
 
-def test_groups_can_be_separated_by_term(make_env):
-    env = _env(make_env, {"x": _value("x"), "q": {"_target_": O + "joint_pos"}}, concatenate_terms=False)
-    out = _read(env)
-    assert {k: v.shape for k, v in out.items()} == {"x": (4, 1), "q": (4, 4)}
-    assert env.observation_manager.group_obs_dim["policy"] == [(1,), (4,)]
-
-
-def test_a_returned_observation_does_not_change_later(start_env):
+def test_an_observation_that_is_separated_by_term_does_not_change_later(start_env):
     action = {"_target_": O + "last_action"}
     terms = {"action": action, "q": {"_target_": O + "joint_pos"}, "past": action | {"history_length": 2}}
     env = start_env(observations={"policy": {"terms": terms, "concatenate_terms": False}})
+    assert env.observation_manager.group_obs_dim["policy"] == [(4,), (4,), (8,)]
     first, *_ = env.step(torch.ones(4, 4))
     copied = {k: v.clone() for k, v in first["policy"].items()}
+    assert {k: v.shape[1] for k, v in copied.items()} == {"action": 4, "q": 4, "past": 8}
     env.step(torch.full((4, 4), 2.0))
     env.reset()
     for name, value in copied.items():
@@ -180,8 +166,10 @@ def _busy_terms():
     }
 
 
-def test_a_peek_changes_nothing_and_draws_nothing(make_env):
+def test_a_peek_and_the_construction_change_nothing_and_draw_nothing(make_env):
     plain, looked = (_env(make_env, _busy_terms(), history_length=3, enable_corruption=True) for _ in range(2))
+    path = "env.observations.policy.terms.noisy.noise"
+    assert torch.equal(plain.streams.get(path).get_state(), type(plain.streams)(0).get(path).get_state())
     for k in range(5):
         spies.VALUES["x"] = float(k)
         looked.observation_manager.peek()
@@ -200,33 +188,20 @@ def test_a_peek_is_the_coming_observation_without_noise(make_env):
     assert env.observation_manager.peek()["policy"][0].tolist() == [1, 2, 14, 5]
 
 
-def test_construction_draws_no_noise(make_env):
-    """The sizes of observations are determined without noise."""
-    env = _env(make_env, _busy_terms(), enable_corruption=True)
-    path = "env.observations.policy.terms.noisy.noise"
-    assert torch.equal(env.streams.get(path).get_state(), type(env.streams)(0).get(path).get_state())
-
-
-def test_stateful_terms_start_at_zero_after_construction_and_reset(make_env):
-    env = _env(make_env, {"count": {"_target_": spies.HERE + "CountingObservation"}})
-    assert _read(env).flatten().tolist() == [1, 1, 1, 1]
-    env.observation_manager.reset(torch.tensor([2]))
-    assert _read(env).flatten().tolist() == [2, 2, 1, 2]
-
-
-def test_a_reset_restarts_modifiers_and_redraws_biases_for_its_environments(make_env):
-    terms = {name: term for name, term in _busy_terms().items() if name in ("filter", "biased")}
+def test_a_reset_restarts_terms_and_modifiers_and_redraws_biases_for_its_environments(make_env):
+    terms = {name: term for name, term in _busy_terms().items() if name in ("filter", "biased", "count")}
     terms["biased"]["noise"]["noise_cfg"] = {"_target_": N + "ConstantNoise"}
     env = _env(make_env, terms, enable_corruption=True)
     spies.VALUES["x"] = 2.0
     first = _read(env).clone()
     second = _read(env).clone()
     torch.testing.assert_close(second[:, 0], first[:, 0] + 0.2)  # 2.0 for 0.1 s
-    assert torch.equal(second[:, 1], first[:, 1])
+    assert torch.equal(second[:, 2], first[:, 2])
     env.observation_manager.reset(torch.tensor([2]))
     third = _read(env)
     torch.testing.assert_close(third[:, 0], first[:, 0] + torch.tensor([0.4, 0.4, 0.0, 0.4]))
-    assert (third[:, 1] == first[:, 1]).tolist() == [True, True, False, True]
+    assert (first[:, 1].tolist(), third[:, 1].tolist()) == ([1, 1, 1, 1], [3, 3, 1, 3])
+    assert (third[:, 2] == first[:, 2]).tolist() == [True, True, False, True]
 
 
 def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
@@ -236,30 +211,20 @@ def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
         assert torch.equal(_read(alone)[:, 0], _read(both)[:, 1])
 
 
-def _two(make_env, policy, critic, **fields):
-    nodes = {"policy": {"terms": {"x": _value(policy)}}, "critic": {"terms": {"y": _value(critic, **fields)}}}
-    return make_env(observations=nodes)
-
-
-def _calls(env, **numbers):
-    called = []
-    for key, number in numbers.items():
-        spies.VALUES[key] = lambda _, key=key, number=number: called.append(key) or number
+@pytest.mark.parametrize(
+    ("key", "fields", "expected"),
+    [
+        ("x", {}, ("x", 2.0, 2.0)),
+        ("y", {}, ("xy", 2.0, 5.0)),
+        ("x", {"modifiers": [{"_target_": M + "Bias", "value": 1.0}], "scale": 10.0}, ("x", 2.0, 30.0)),
+    ],
+)
+def test_a_function_of_two_groups_is_called_once_a_step_and_processed_by_each(make_env, key, fields, expected):
+    nodes = {"policy": {"terms": {"x": _value("x")}}, "critic": {"terms": {"y": _value(key, **fields)}}}
+    env, called = make_env(observations=nodes), []
+    spies.VALUES.update(x=lambda _: called.append("x") or 2.0, y=lambda _: called.append("y") or 5.0)
     observed = env.observation_manager.compute()
-    return "".join(called), float(observed["policy"][0]), float(observed["critic"][0])
-
-
-def test_a_function_of_two_groups_is_called_once_a_step_and_processed_by_each(make_env):
-    assert _calls(_two(make_env, "x", "x"), x=2.0) == ("x", 2.0, 2.0)
-    assert _calls(_two(make_env, "x", "y"), x=2.0, y=5.0) == ("xy", 2.0, 5.0)
-    env = _two(make_env, "x", "x", modifiers=[{"_target_": M + "Bias", "value": 1.0}], scale=10.0)
-    assert _calls(env, x=2.0) == ("x", 2.0, 30.0)
-
-
-def test_a_parameter_that_is_changed_later_belongs_to_one_group(make_env):
-    env = _two(make_env, "x", "x")
-    env.observation_manager.terms("critic")["y"].term.params["key"] = "z"
-    assert _calls(env, x=2.0, z=5.0) == ("xz", 2.0, 5.0)
+    assert ("".join(called), float(observed["policy"][0]), float(observed["critic"][0])) == expected
 
 
 def _policy_and_critic(make_env):

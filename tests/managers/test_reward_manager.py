@@ -17,45 +17,35 @@ def _reward(key, weight):
 
 
 def test_the_reward_is_the_sum_of_value_weight_and_time_step(start_env):
-    spies.VALUES.update(a=torch.tensor([1.0, 2.0, 3.0, 4.0]), b=0.5)
-    env = start_env(rewards={"a": _reward("a", 2.0), "b": _reward("b", -4.0)})
-    torch.testing.assert_close(env.step(STILL)[1], torch.tensor([0.0, 2.0, 4.0, 6.0]) * 0.02)
-    assert env.reward_manager.step_reward.tolist() == [[2, 4, 6, 8], [-2, -2, -2, -2]]
+    """Whole numbers and booleans count as numbers."""
+    whole, flags = torch.tensor([1, 2, 3, 4]), torch.tensor([True, False, True, False])
+    spies.VALUES.update(a=torch.tensor([1.0, 2.0, 3.0, 4.0]), b=0.5, c=whole, d=flags)
+    env = start_env(rewards={key: _reward(key, weight) for key, weight in zip("abcd", (2.0, -4.0, 2, 1), strict=True)})
+    torch.testing.assert_close(env.step(STILL)[1], torch.tensor([3.0, 6.0, 11.0, 14.0]) * 0.02)
+    assert env.reward_manager.step_reward.tolist() == [[2, 4, 6, 8], [-2, -2, -2, -2], [2, 4, 6, 8], [1, 0, 1, 0]]
 
 
-def test_a_term_of_weight_zero_is_not_called_and_logs_zero(start_env):
-    spies.VALUES.update(a=lambda env: pytest.fail("called"), b=1.0)
-    env = start_env(rewards={"a": _reward("a", 0.0), "b": _reward("b", 1.0)})
-    env.step(STILL)
-    log = env.reset()[1]["log"]
-    assert float(log["Episode_Reward/a"]) == 0.0
-    assert float(log["Episode_Reward/b"]) > 0.0
-
-
-def test_a_weight_set_to_zero_leaves_no_old_value_behind(start_env):
-    spies.VALUES.update(a=1.0)
-    env = start_env(rewards={"a": _reward("a", 1.0)})
+def test_a_term_of_weight_zero_is_not_called_and_counts_as_zero(start_env):
+    spies.VALUES.update(a=1.0, b=1.0)
+    env = start_env(rewards={"a": _reward("a", 1.0), "b": _reward("b", 1.0)})
     env.step(STILL)
     env.reward_manager.get_term_cfg("a").fields["weight"] = 0.0
-    assert (env.step(STILL)[1].tolist(), env.reward_manager.step_reward.tolist()) == ([0.0] * 4, [[0.0] * 4])
+    spies.VALUES.update(a=lambda env: pytest.fail("called"))
+    env.reset()
+    env.step(STILL)
+    assert env.reward_manager.step_reward.tolist() == [[0.0] * 4, [1.0] * 4]
+    log = env.reset()[1]["log"]
+    assert [float(log[f"Episode_Reward/{name}"]) for name in "ab"] == pytest.approx([0.0, 0.02 / 2.0])
 
 
-def test_an_episodes_sum_is_logged_over_the_longest_episodes_seconds(start_env):
-    """10 steps of 0.02 s with value 1 and weight 2, divided by 20 s, give 0.02."""
-    spies.VALUES.update(a=1.0)
-    env = start_env(rewards={"a": _reward("a", 2.0)}, episode_length_s=20.0)
-    run(env, 10)
-    assert float(env.reset()[1]["log"]["Episode_Reward/a"]) == pytest.approx(0.02)
-
-
-def test_the_log_is_the_mean_over_the_environments_that_reset(start_env):
+def test_the_log_is_the_mean_over_the_environments_that_reset_per_second_of_the_longest_episode(start_env):
     spies.VALUES.update(a=torch.tensor([1.0, 2.0, 3.0, 4.0]))
-    env = start_env(rewards={"a": _reward("a", 1.0)}, episode_length_s=1.0)
+    env = start_env(rewards={"a": _reward("a", 1.0)}, episode_length_s=20.0)
     # In the second row, environment 0 has made two steps, and environment 1 one step.
     for ids, total in (([1, 3], 3.0), ([0, 1], (2 * 1.0 + 2.0) / 2)):
         env.step(STILL)
         log = env.reset(env_ids=torch.tensor(ids))[1]["log"]
-        assert float(log["Episode_Reward/a"]) == pytest.approx(total * 0.02)
+        assert float(log["Episode_Reward/a"]) == pytest.approx(total * 0.02 / 20.0)
 
 
 @pytest.mark.parametrize("weight", [None, "2.0", True])
@@ -63,12 +53,6 @@ def test_a_weight_that_is_not_a_number_is_rejected(make_env, weight):
     with pytest.raises(ConfigError) as caught:
         make_env(rewards={"a": {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": weight}})
     assert caught.value.key == "env.rewards.a.weight"
-
-
-def test_a_whole_number_or_bool_reward_counts_as_a_number(make_env):
-    spies.VALUES.update(a=torch.tensor([1, 2, 3, 4]), b=torch.tensor([True, False, True, False]))
-    env = make_env(rewards={"a": _reward("a", 2), "b": _reward("b", 1.0)})
-    assert env.reward_manager.compute(1.0).tolist() == [3, 4, 7, 8]
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
