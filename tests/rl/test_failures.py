@@ -7,7 +7,6 @@ import itertools
 import math
 
 import pytest
-import torch
 
 from wheelleg_exp.errors import EXIT_FAILED, SimulationFailure
 from wheelleg_exp.mdp import observations, rewards
@@ -34,13 +33,9 @@ def spoil(monkeypatch, module, name: str, value: float, *, rows=slice(2, 3), cal
 
 def failed(trainer, until: int) -> SimulationFailure:
     with pytest.raises(SimulationFailure) as caught:
-        run(trainer, until)
+        list(trainer.learn(until))
     assert caught.value.exit_code == EXIT_FAILED
     return caught.value
-
-
-def run(trainer, until: int) -> list:
-    return list(trainer.learn(until))
 
 
 @pytest.mark.parametrize("value", [NAN, INF, -INF])
@@ -73,22 +68,17 @@ def test_a_reward_that_is_often_nan_in_one_environment_fails(make_trainer, monke
     assert failed(make_trainer(), 4).key == "env.rewards.alive"
 
 
-def test_a_single_episode_with_a_reward_of_nan_is_only_logged(make_trainer, monkeypatch):
-    spoil(monkeypatch, rewards, "is_alive", NAN, calls=[10])
-    first, second = run(make_trainer(), 2)
-    assert (logged(first.scalars), logged(second.scalars)) == ({"env.rewards.alive": 1}, {})
+@pytest.mark.parametrize(("words", "calls"), [([], range(10, 11)), (["agent.max_non_finite=1"], range(5, 15))])
+def test_as_many_episodes_with_a_reward_of_nan_as_allowed_are_only_logged(make_trainer, monkeypatch, words, calls):
+    spoil(monkeypatch, rewards, "is_alive", NAN, calls=calls)
+    first, second = make_trainer(*words).learn(2)
+    assert (logged(first.scalars), logged(second.scalars)) == ({"env.rewards.alive": len(calls)}, {})
     assert all(math.isfinite(value) for value in first.scalars.values())
-
-
-def test_more_episodes_with_a_reward_of_nan_can_be_allowed(make_trainer, monkeypatch):
-    spoil(monkeypatch, rewards, "is_alive", NAN, calls=range(5, 15))
-    (done,) = run(make_trainer("agent.max_non_finite=1"), 1)
-    assert logged(done.scalars) == {"env.rewards.alive": 10}
 
 
 def test_physics_that_fails_everywhere_fails_the_training_even_without_a_termination_for_it(make_trainer, capfd):
     trainer = make_trainer("~env.terminations.non_finite_state")
-    run(trainer, 1)
+    list(trainer.learn(1))
     trainer.env.env.scene.sim.view("qvel")[:, 0] = NAN
     error = failed(trainer, 2)
     assert (error.key, "in iteration 1" in error.message) == ("env.sim", True)
@@ -112,24 +102,12 @@ def test_a_learning_rate_that_blows_the_networks_up_fails(make_trainer):
     assert "learning_rate" in str(error.expected)
 
 
-def test_a_parameter_that_is_nan_is_named(make_trainer, monkeypatch):
+def test_a_loss_that_is_inf_and_a_parameter_that_is_nan_are_named(make_trainer, monkeypatch):
     trainer = make_trainer()
-    update = trainer.algorithm.update
-
-    def spoiled():
-        losses = update()
-        with torch.no_grad():
-            trainer.algorithm.critic.mlp[0].weight[0, 0] = NAN
-        return losses
-
-    monkeypatch.setattr(trainer.algorithm, "update", spoiled)
-    error = failed(trainer, 3)
-    assert error.message == "the critic's mlp.0.weight is not finite, in the update of iteration 0"
-    assert {"loss.value", "loss.surrogate"} <= error.evidence.keys()
-
-
-def test_a_loss_that_is_inf_is_named(make_trainer, monkeypatch):
-    trainer = make_trainer()
-    update = trainer.algorithm.update
+    update, weight = trainer.algorithm.update, trainer.algorithm.critic.mlp[0].weight
     monkeypatch.setattr(trainer.algorithm, "update", lambda: update() | {"surrogate": INF})
-    assert failed(trainer, 3).message == "the surrogate loss is inf, in the update of iteration 0"
+    error = failed(trainer, 3)
+    assert error.message == "the surrogate loss is inf, in the update of iteration 0"
+    assert {"loss.value", "loss.surrogate"} <= error.evidence.keys()
+    monkeypatch.setattr(trainer.algorithm, "update", lambda: (update(), weight.data.fill_(NAN))[0])
+    assert failed(trainer, 3).message.startswith("the critic's mlp.0.weight is not finite, in the update of iteration")

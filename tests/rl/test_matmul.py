@@ -149,12 +149,8 @@ def test_units_that_onednn_may_not_use_do_not_count(units, monkeypatch, most, ve
     assert has_units() == vectors
     units(True, amx=True, intel=True)
     assert has_units() == tiles
-
-
-def test_without_onednn_there_are_no_units(units, monkeypatch):
-    units(True)
     monkeypatch.setattr(torch.backends.mkldnn, "is_available", lambda: False)
-    assert chosen_matmul(AGENT) == "float32"
+    assert not has_units()
 
 
 @pytest.mark.parametrize(

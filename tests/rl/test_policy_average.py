@@ -7,7 +7,6 @@ import torch
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.jobs.train.resume_training import load_state
-from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.digests import of_state
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.policy_average import PolicyAverage, without_average
@@ -57,13 +56,6 @@ def test_the_mean_is_over_the_weights_of_each_iteration(averaged):
     assert not torch.equal(averaged[-1]["averaged_state_dict"]["mlp.0.weight"], third["mlp.0.weight"])
 
 
-def test_a_stopped_training_resumes_with_its_mean_to_the_bit(make_trainer, averaged):
-    again = make_trainer(OVER, seed=5)
-    again.load_state_dict(copy.deepcopy(averaged[0]))
-    list(again.learn(3))
-    assert of_state(again.state_dict()) == of_state(averaged[-1])
-
-
 def test_a_training_may_go_on_without_its_mean(make_trainer, averaged):
     plain = make_trainer()
     assert load_state(plain, copy.deepcopy(averaged[0]), None) == []
@@ -107,9 +99,3 @@ def test_the_mean_is_what_is_played(make_trainer, averaged, tmp_path):
     with trainer.played() as played:
         assert torch.equal(played.state_dict()["mlp.0.weight"], mean)
     assert of_state(trainer.state_dict()) == of_state(averaged[-1])
-
-
-def test_a_mean_that_is_not_a_mapping_is_not_a_checkpoint(averaged, tmp_path):
-    path = saved({**averaged[-1], "averaged_state_dict": 3}, tmp_path)
-    with pytest.raises(RunDirectoryError, match="it lacks 'averaged_state_dict'"):
-        checkpoint.load(path)

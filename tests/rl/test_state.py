@@ -36,6 +36,8 @@ RND = [
 RNN = ("{0}.class_name=RNNModel", "+{0}.rnn_type=lstm", "+{0}.rnn_hidden_dim=8", "+{0}.rnn_num_layers=1")
 RECURRENT = [word.format(f"agent.{role}") for role in ("actor", "critic") for word in RNN]
 KINDS = {"plain": [], "normalised": NORMALISED, "rnd": RND, "recurrent": RECURRENT}
+KINDS |= {name: [f"agent={name}"] for name in ("ppo_symmetry", "ppo_mirrored", "ppo_mirror_loss")}
+KINDS["averaged"] = ["agent.average_iterations=2"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -62,6 +64,7 @@ SPOILS = [
     ("plain", lambda state: state["optimizer_state_dict"]["state"][0]["exp_avg"].add_(1e-3)),
     ("plain", lambda state: state["log"]["return"].add_(1.0)),
     ("plain", lambda state: state["env"]["managers"]["rewards"]["_sums"].add_(1.0)),
+    ("plain", lambda state: state["rng"].update(torch=torch.Generator().manual_seed(1).get_state())),
 ]
 
 

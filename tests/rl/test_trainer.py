@@ -1,23 +1,19 @@
-"""Test training: networks from the config, exact resume, and failures."""
+"""Test training: networks from the config, logged scalars, streams, the adapter, and rsl_rl's extensions."""
 
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 
 import pytest
 import torch
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-from .conftest import saved, without_times
-
-NORMALISED = ["agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true"]
+from .conftest import saved
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +66,9 @@ def test_an_unknown_observation_group_is_reported_with_the_nearest(adapter, tiny
 @pytest.mark.parametrize(
     ("section", "value"),
     [
-        ("algorithm", {"learning_rate": -1.0}),
         ("algorithm", {"optimizer": "adm"}),
         ("algorithm", {"gama": 0.9}),
         ("algorithm", {"class_name": "PPPO"}),
-        ("actor", {"hidden_dims": []}),
         ("actor", {"activation": "eluu"}),
         ("actor", {"class_name": "MLPMdel"}),
         ("actor", {"distribution_cfg": {"class_name": "Gaussian"}}),
@@ -94,8 +88,10 @@ def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(adapter, tiny_co
 
 @pytest.mark.train
 def test_an_iteration_logs_the_scalars_of_rsl_rl_and_isaac_lab(make_trainer):
-    first, second = finish(make_trainer(), 2)
-    assert (first.index, second.index, first.env_steps) == (0, 1, 16 * 24)
+    trainer = make_trainer()
+    (first,) = finish(trainer, 1)
+    assert [done.index for done in (first, *finish(trainer, 3), *finish(trainer, 3))] == [0, 1, 2]
+    assert (trainer.state_dict()["iter"], first.env_steps) == (2, 16 * 24)
     keys = [f"Loss/{name}" for name in ("value", "surrogate", "entropy", "learning_rate")]
     keys += [f"Perf/{name}" for name in ("total_fps", "collection_time", "learning_time")]
     keys += ["Policy/mean_std", "Train/mean_reward", "Train/mean_episode_length", "Episode_Reward/alive"]
@@ -104,15 +100,6 @@ def test_an_iteration_logs_the_scalars_of_rsl_rl_and_isaac_lab(make_trainer):
         assert isinstance(first.scalars[key], float), key
     assert first.scalars["Train/mean_episode_length"] <= 18
     assert first.scalars["Policy/mean_std"] == pytest.approx(1.0, abs=0.1)
-
-
-@pytest.mark.train
-def test_training_goes_up_to_a_total(make_trainer):
-    trainer = make_trainer()
-    assert [done.index for done in finish(trainer, 1)] == [0]
-    assert [done.index for done in finish(trainer, 3)] == [1, 2]
-    assert finish(trainer, 3) == []
-    assert trainer.state_dict()["iter"] == 2
 
 
 @pytest.mark.train
@@ -136,59 +123,20 @@ def test_returns_are_those_of_the_environment(make_trainer):
     assert done.scalars["Train/mean_reward"] == pytest.approx(sum(returns[-100:]) / len(returns[-100:]), rel=1e-5)
 
 
-# --- resume ---
-
-
-@pytest.fixture(scope="module")
-def straight(make_trainer):
-    torch.set_num_threads(1)
-    trainer = make_trainer(*NORMALISED)
-    done = finish(trainer, 3)
-    return checkpoint.serialize(trainer.state_dict()), done
-
-
-@pytest.fixture(scope="module")
-def stopped(make_trainer, tmp_path_factory) -> Path:
-    """Return the checkpoint of the first of three iterations."""
-    torch.set_num_threads(1)
-    trainer = make_trainer(*NORMALISED)
-    finish(trainer, 1)
-    return saved(trainer.state_dict(), tmp_path_factory.mktemp("stopped"))
-
-
-@pytest.mark.train
-def test_three_iterations_are_one_and_two_more_in_new_objects(make_trainer, straight, stopped):
-    trainer = make_trainer(*NORMALISED, seed=5)
-    finish(trainer, 2)
-    trainer.load_state_dict(checkpoint.load(stopped))
-    later = finish(trainer, 3)
-    assert [without_times(d) for d in later] == [without_times(d) for d in straight[1][1:]]
-    assert checkpoint.serialize(trainer.state_dict()) == straight[0]
-
-
-@pytest.mark.train
-def test_nothing_but_the_checkpoint_decides_what_comes(make_trainer, straight, stopped):
-    saved = checkpoint.load(stopped)
-    saved["rng"]["torch"] = torch.Generator().manual_seed(1).get_state()
-    trainer = make_trainer(*NORMALISED)
-    trainer.load_state_dict(saved)
-    finish(trainer, 3)
-    assert checkpoint.serialize(trainer.state_dict()) != straight[0]
-
-
-def test_a_checkpoint_of_other_networks_does_not_fit(adapter, tiny_config, stopped):
-    with pytest.raises(RunDirectoryError) as caught:
-        load_policy(stopped, adapter, read_agent(tiny_config("agent.actor.hidden_dims=[4]")["agent"]))
-    assert str(stopped) in str(caught.value)
-
-
-# --- streams ---
-
-
 @pytest.fixture(scope="module")
 def trainer(make_trainer):
     """Return a trainer for tests that do not depend on the trainer's state."""
     return make_trainer()
+
+
+def test_a_checkpoint_of_other_networks_does_not_fit(trainer, tiny_config, tmp_path):
+    path = saved(trainer.state_dict(), tmp_path)
+    with pytest.raises(RunDirectoryError) as caught:
+        load_policy(path, trainer.env, read_agent(tiny_config("agent.actor.hidden_dims=[4]")["agent"]))
+    assert str(path) in str(caught.value)
+
+
+# --- streams ---
 
 
 def test_draws_of_the_policy_and_of_the_environment_leave_each_others_streams_alone(trainer):
@@ -250,23 +198,35 @@ def test_episode_lengths_that_are_set_shift_no_timers_and_no_commands(make_train
     assert env.episode_length_buf.tolist() == (drawn + 1).tolist()
 
 
-def test_reading_the_observations_changes_nothing(adapter):
-    before = checkpoint.serialize(adapter.env.state_dict())
-    first, second = adapter.get_observations(), adapter.get_observations()
-    assert torch.equal(first["policy"], second["policy"])
-    assert first.batch_size == (16,)
-    assert checkpoint.serialize(adapter.env.state_dict()) == before
-
-
-# --- failures ---
+# --- rsl_rl's extensions ---
 
 
 @pytest.mark.train
-def test_one_simulation_that_goes_to_nan_ends_its_episode_alone(make_trainer, capfd):
-    trainer = make_trainer()
-    env = trainer.env.env
-    finish(trainer, 1)
-    env.scene.sim.view("qvel")[5, 0] = float("nan")
-    (done,) = finish(trainer, 2)
-    assert 0.0 < done.scalars["Episode_Termination/non_finite_state"] <= 1 / 16
-    assert env.scene.sim.state.isfinite().all()
+def test_what_has_been_seen_is_no_longer_new(make_trainer):
+    losses = [done.scalars["Loss/rnd"] for done in make_trainer("agent=ppo_rnd").learn(until=8)]
+    assert all(loss > 0.0 for loss in losses)
+    assert losses[-1] < 0.5 * max(losses[:3])
+
+
+@pytest.mark.train
+def test_novelty_is_rewarded_by_the_weight_and_the_control_step(make_trainer):
+    plain = ["agent.algorithm.rnd_cfg.reward_normalization=false", "agent.algorithm.rnd_cfg.weight_schedule=null"]
+    trainer = make_trainer("agent=ppo_rnd", *plain, "agent.algorithm.rnd_cfg.weight=3.0")
+    rnd, seen = trainer.algorithm.rnd, trainer.env.get_observations()
+    with torch.inference_mode():
+        state = (seen["policy"] - rnd.state_normalizer._mean) / (rnd.state_normalizer._std + rnd.state_normalizer.eps)
+        error = rnd.target(state) - rnd.predictor(state)
+        expected = 3.0 / 60.0 * error.square().sum(dim=1).sqrt()
+        torch.testing.assert_close(rnd.get_intrinsic_reward(seen), expected)
+
+
+@pytest.mark.train
+@pytest.mark.parametrize(
+    "words", [["agent=ppo_symmetry", "agent.algorithm.symmetry_cfg.use_mirror_loss=true"], ["agent=ppo_mirror_loss"]]
+)
+def test_mirror_images_make_a_policy_its_own_image(make_trainer, words):
+    losses = [
+        [done.scalars["Loss/symmetry"] for done in make_trainer(*words, f"{key}={factor}").learn(until=4)][-1]
+        for key, factor in [("agent.algorithm.symmetry_cfg.mirror_loss_coeff", c) for c in (0.0, 10.0)]
+    ]
+    assert losses[1] < 0.5 * losses[0]

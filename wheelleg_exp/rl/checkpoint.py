@@ -41,10 +41,7 @@ def serialize(state: Mapping[str, object]) -> bytes:
 
 
 def load(path: Path, *, finite: bool = True) -> dict[str, Any]:
-    """Read a checkpoint. If ``finite`` is true, reject networks with NaN or inf parameters.
-
-    ``load`` raises RunDirectoryError if the checkpoint file is missing, damaged, or from another program.
-    """
+    """Read a checkpoint; raise RunDirectoryError if it is missing, damaged, foreign, or not finite (if ``finite``)."""
     if not path.is_file():
         message = "the checkpoint does not exist"
         raise RunDirectoryError(message, key=str(path), expected="a model_<iteration>.pt of a run")

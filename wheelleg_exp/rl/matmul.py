@@ -37,20 +37,16 @@ _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
 def chosen_matmul(agent: Learning) -> Matmul:
-    """Return the precision that ``agent.matmul`` selects: ``float32``, ``bfloat16``, or ``tf32``.
+    """Return the precision that ``agent.matmul`` selects; raise ConfigError if the training's device has no such units.
 
-    The value ``auto`` selects the precision by the type
-    of hardware, not by a measurement, so that restarts of a run use the same precision. ``chosen_matmul`` raises
-    ConfigError if the device of the training does not support the precision.
+    ``auto`` selects by the type of hardware, not by a measurement, so that restarts of a run use the same precision.
     """
-    wanted, kind, why_not = agent.matmul, agent.device.partition(":")[0], ""
-    if kind != "cpu":
+    wanted, on_gpu = agent.matmul, agent.device.startswith("cuda")
+    why_not = "agent.torch_compile_mode compiles the networks" if agent.torch_compile_mode is not None else ""
+    if not agent.device.startswith("cpu"):
         why_not = f"agent.device is {agent.device}"
-    elif agent.torch_compile_mode is not None:
-        why_not = "agent.torch_compile_mode compiles the networks"
     if wanted == "bfloat16" and why_not:
         raise ConfigError(f"bfloat16 is for eager mode on CPUs, but {why_not}", key=KEY, expected="auto or float32")
-    on_gpu = kind == "cuda"
     if wanted == "tf32" and not on_gpu:
         message = f"tf32 is for GPUs, and agent.device is {agent.device}"
         raise ConfigError(message, key=KEY, expected="auto or float32")
@@ -78,8 +74,7 @@ def has_units() -> bool:
 def products_depend_on_threads(networks: Iterable[nn.Module], rows: int, threads: int) -> bool:
     """Return whether a network layer's matrix products with a batch of ``rows`` depend on the number of threads.
 
-    With AMX instructions, oneDNN may split a sum among threads, which changes the rounding.
-    ``products_depend_on_threads`` compares products of random matrices for different numbers of threads.
+    With AMX, oneDNN may split a sum among threads, which changes the rounding; products of random matrices show this.
     """
     before, draw = torch.get_num_threads(), torch.Generator().manual_seed(0)
     layers = [layer for perceptron in _perceptrons(networks) for layer in perceptron]

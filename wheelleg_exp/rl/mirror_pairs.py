@@ -130,10 +130,7 @@ class BodyImages:
                 self._images[body] = others[int(apart.argmin())] if others else None
 
     def image(self, name: str, key: str, *, with_axes: bool = False) -> str:
-        """Return the name of a body's mirror image; raise ConfigError with ``key`` if the body has no mirror image.
-
-        If ``with_axes`` is true, the axes of both bodies must be mirror images of each other.
-        """
+        """Return the name of a body's image, ``with_axes`` that are mirrored, too; raise ConfigError without one."""
         body = self.names.index(name)
         image = self._images[body]
         far = np.inf if image is None else np.linalg.norm(self._places[image] - MIRROR @ self._places[body])

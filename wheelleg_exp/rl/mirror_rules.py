@@ -97,10 +97,7 @@ _MAX_SIGN_ERROR = 1e-3
 
 
 def mirror_rays(sensor: object, bodies: BodyImages, path: str) -> SignedSources:
-    """Return the image of each ray: the ray from the mirrored position in the mirrored direction.
-
-    ``mirror_rays`` raises ConfigError for a sensor that is not a ray caster or whose rays are not symmetric.
-    """
+    """Return the image of each ray: from the mirrored position in the mirrored direction, or raise ConfigError."""
     if not isinstance(sensor, RayCaster):
         raise ConfigError("the sensor is not a ray caster", key=f"{path}.sensor_cfg.name", expected="a RayCaster")
     _require_own_image(sensor.body_names[0], bodies, f"{sensor.key}.body_name")

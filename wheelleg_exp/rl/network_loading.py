@@ -77,10 +77,7 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Learning) -> MLPModel:
-    """Return the policy of a checkpoint in evaluation mode: its mean action, without exploration noise.
-
-    ``load_policy`` raises RunDirectoryError if a checkpoint is damaged or its networks do not fit the environment.
-    """
+    """Return a checkpoint's policy without exploration noise; raise RunDirectoryError if it does not fit ``env``."""
     state = checkpoint.load(path)
     policy = build_algorithm(env, replace(agent, device=str(env.env.device))).get_policy()
     try:

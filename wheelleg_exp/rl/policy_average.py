@@ -51,10 +51,7 @@ class PolicyAverage:
         return {_COUNT: self._count} if self._count else {}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Load mean weights. If ``saved`` contains no mean weights, averaging starts with the next policy update.
-
-        ``load_state_dict`` raises ValueError if the mean weights do not fit the policy network.
-        """
+        """Load mean weights, if any; raise ValueError if they do not fit the policy network."""
         if not self.is_on:
             return
         mean, own = saved.get(STATE) or {}, self._policy.state_dict()

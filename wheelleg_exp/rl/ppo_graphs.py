@@ -254,10 +254,7 @@ class CapturedActing:
         self._captured = _addresses(self._algorithm)
 
     def _computed(self) -> dict[str, object]:
-        """Return the data that rsl_rl's ``PPO.act`` stores for the policy update.
-
-        torch's own sampling is not used, because it waits for the GPU.
-        """
+        """Return the data that ``PPO.act`` stores, without torch's own sampling, which waits for the GPU."""
         actor, observations = self._algorithm.actor, self._observations
         actor.distribution.update(actor.mlp(actor.get_latent(observations)))
         mean, deviation = actor.output_mean, actor.output_std

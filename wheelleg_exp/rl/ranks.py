@@ -85,9 +85,7 @@ _PATIENCE = timedelta(minutes=30)
 class Ranks:
     """One of the processes (ranks) that train one policy together. A process that trains alone is rank 0 of 1.
 
-    ``rank`` is the number of this process, from 0; rank 0 writes the run directory. ``size`` is the number of processes
-    (ranks). ``local`` is the number of this process on its machine, and ``locals`` is the number of ranks on this
-    machine.
+    ``rank`` is the number of this process among ``size``, and ``local`` its number among ``locals`` on its machine.
     """
 
     rank: int = 0
@@ -183,10 +181,7 @@ class Ranks:
 
     @contextmanager
     def agreed(self) -> Iterator[None]:
-        """If a ``with`` block raises a WheellegError on one process (rank), raise an error on all ranks.
-
-        The first process (rank) raises the error of the rank that failed. All other ranks raise FirstRankFailed.
-        """
+        """If a ``with`` block fails on one rank, raise its error on the first rank, and FirstRankFailed elsewhere."""
         if not self.together:
             yield
             return

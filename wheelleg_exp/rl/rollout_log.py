@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -138,15 +138,10 @@ def _numbers(log: Mapping[str, torch.Tensor | float]) -> dict[str, float]:
     return {key: float(value) for key, value in found.items()}
 
 
-REWARDS, METRICS, TERMINATIONS = "Rewards_per_step", "Metrics_per_step", "Terminations_per_step"
-
-
 class StepMeans:
     """Sums rewards, terminations, and command errors of each control step, and returns means once per iteration.
 
     The managers log only finished episodes, so robots that fall early count more often than robots that stand.
-    ``StepMeans`` counts each environment exactly once in each control step. Checkpoints need not save ``StepMeans``,
-    whose sums are empty between iterations.
     """
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
@@ -156,8 +151,15 @@ class StepMeans:
 
     def take(self) -> None:
         """Add rewards, terminations, and command errors of the last step to the sums of the current iteration."""
-        for key, rows in self._rows():
-            self._sums[key] = self._sums[key].add_(rows) if key in self._sums else rows.double()
+        rewards, terminations = self._env.reward_manager, self._env.termination_manager
+        commands = self._env.command_manager
+        rows = {("Rewards_per_step", tuple(rewards.active_terms)): rewards.step_reward}
+        rows["Terminations_per_step", tuple(terminations.active_terms)] = terminations.fired
+        for command, errors in commands.step_errors.items():
+            names = tuple(f"{command}/{name}" for name in commands.get_term(command).metric_names)
+            rows["Metrics_per_step", names] = errors
+        for key, values in rows.items():  # ``key`` has the prefix of the logged keys, and a name for each row (N,).
+            self._sums[key] = self._sums[key].add_(values) if key in self._sums else values.double()
         self._steps += 1
 
     def collect(self) -> dict[str, float]:
@@ -170,12 +172,3 @@ class StepMeans:
         self._sums.clear()
         self._steps = 0
         return scalars
-
-    def _rows(self) -> Iterator[tuple[tuple[str, tuple[str, ...]], torch.Tensor]]:
-        """Yield the values of each manager in this step: prefix and names of the keys, and a row (N,) for each name."""
-        rewards, terminations = self._env.reward_manager, self._env.termination_manager
-        yield (REWARDS, tuple(rewards.active_terms)), rewards.step_reward
-        yield (TERMINATIONS, tuple(terminations.active_terms)), terminations.fired
-        for command, errors in self._env.command_manager.step_errors.items():
-            names = self._env.command_manager.get_term(command).metric_names
-            yield (METRICS, tuple(f"{command}/{name}" for name in names)), errors

@@ -1,23 +1,18 @@
-"""Test the returns, lengths, and logs of a rollout against hand-computed cases."""
+"""Test the reports of a rollout against hand-computed cases: returns, lengths, logs, and means over all steps."""
+
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount
+from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 
 
 def step(log, rewards, dones, values=None):
-    """Add one step to the log; ``values`` is the managers' log if an environment was reset in this step."""
-    if values is not None:
-        step.last = {k: torch.tensor(v) for k, v in values.items()}
-    extras = {"log": getattr(step, "last", {}), "log_is_fresh": any(dones)}
-    log.step(torch.tensor(rewards), torch.tensor(dones).long(), extras)
-
-
-@pytest.fixture(autouse=True)
-def _no_last_log():
-    step.last = {}
+    """Add one step to the log; ``values`` is the managers' log, which is stale unless an environment was reset."""
+    logged = {k: torch.tensor(v) for k, v in ({"a": 99.0} if values is None else values).items()}
+    log.step(torch.tensor(rewards), torch.tensor(dones).long(), {"log": logged, "log_is_fresh": any(dones)})
 
 
 def test_return_and_length_are_those_of_the_finished_episodes():
@@ -78,19 +73,12 @@ def test_state_goes_round(tmp_path):
         step(first, [float(k), 1.0], [1, k % 7 == 0], {})
     first.collect()
     step(first, [1.0, 2.0], [0, 0])
-    torch.save(first.state_dict(), tmp_path / "log.pt")
+    saved = first.state_dict()
+    step(first, [10.0, 20.0], [1, 1], {"a": 3.0})
+    torch.save(saved, tmp_path / "log.pt")  # A saved state does not change in later steps.
     second.load_state_dict(torch.load(tmp_path / "log.pt", weights_only=True))
-    for log in (first, second):
-        step(log, [10.0, 20.0], [1, 1], {"a": 3.0})
+    step(second, [10.0, 20.0], [1, 1], {"a": 3.0})
     assert first.collect() == second.collect()
-
-
-def test_a_saved_state_does_not_change_in_later_steps():
-    log = EpisodeLog(1)
-    step(log, [1.0], [0])
-    saved = log.state_dict()
-    step(log, [1.0], [1], {})
-    assert (saved["return"].tolist(), saved["length"].tolist(), saved["returns"]) == ([1.0], [1.0], [])
 
 
 @pytest.mark.parametrize(("num_envs", "share", "allowed"), [(1, 0.1, 1), (16, 0.1, 1), (512, 0.1, 51), (512, 0.0, 1)])
@@ -110,3 +98,68 @@ def test_episodes_that_the_actions_end_are_the_policys_fault():
     with pytest.raises(SimulationFailure, match="the policy has diverged") as caught:
         count.require_few("by now")
     assert caught.value.key == "agent.actor"
+
+
+# --- means over all control steps, with episodes of different lengths ---
+
+
+@pytest.fixture
+def env():
+    """Return two environments with a reward that is 1 in the first 4 steps and 0 later, and its opposite."""
+    term = SimpleNamespace(metric_names=["error"])
+    return SimpleNamespace(
+        reward_manager=SimpleNamespace(active_terms=["early", "late"], step_reward=torch.zeros(2, 2)),
+        termination_manager=SimpleNamespace(active_terms=["fell"], fired=torch.zeros(1, 2, dtype=torch.bool)),
+        command_manager=SimpleNamespace(step_errors={}, get_term=lambda name: term),
+    )
+
+
+def run(env, means, lengths, steps):
+    """Simulate ``steps`` steps in which environment ``i`` ends its episodes after ``lengths[i]`` steps."""
+    for step in range(steps):
+        age = torch.tensor([step % length for length in lengths])
+        env.reward_manager.step_reward[0] = (age < 4).float()
+        env.reward_manager.step_reward[1] = (age >= 4).float()
+        env.termination_manager.fired[0] = age == torch.tensor(lengths) - 1
+        env.command_manager.step_errors["drive"] = 0.1 * age.float().unsqueeze(0)
+        means.take()
+
+
+def test_each_environment_counts_alike_in_each_step(env):
+    means = StepMeans(env)
+    run(env, means, [4, 16], 16)
+    scalars = means.collect()
+    assert scalars["Rewards_per_step/early"] == pytest.approx((16 + 4) / 32)
+    assert scalars["Rewards_per_step/late"] == pytest.approx(12 / 32)
+    assert scalars["Terminations_per_step/fell"] == pytest.approx((4 + 1) / 32)
+    assert scalars["Metrics_per_step/drive/error"] == pytest.approx((0.15 + 0.75) / 2)
+
+
+def test_steps_without_an_end_count_and_each_iteration_starts_from_scratch(env):
+    means = StepMeans(env)
+    run(env, means, [100, 100], 8)
+    assert means.collect()["Rewards_per_step/early"] == pytest.approx(0.5)
+    run(env, means, [4, 4], 4)
+    assert means.collect()["Rewards_per_step/early"] == 1.0
+    run(env, means, [1, 1], 3)
+    assert means.collect()["Terminations_per_step/fell"] == 1.0
+    assert means.collect() == {}
+
+
+@pytest.mark.train
+def test_a_training_logs_the_means_of_its_environment(make_trainer):
+    trainer, rewards = make_trainer(), []
+    env = trainer.env.env
+    compute = env.reward_manager.compute
+
+    def spy(*args):
+        reward = compute(*args)
+        rewards.append(reward.double().clone())
+        return reward
+
+    env.reward_manager.compute = spy
+    (done,) = trainer.learn(until=1)
+    per_second = sum(value for key, value in done.scalars.items() if key.startswith("Rewards_per_step/"))
+    assert len(rewards) == 24
+    assert per_second * env.step_dt == pytest.approx(float(torch.stack(rewards).mean()), rel=1e-5)
+    assert done.scalars["Metrics_per_step/base_velocity/error_vel_xy"] > 0.0
