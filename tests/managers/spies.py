@@ -54,10 +54,6 @@ def noted(env: Env, env_ids: torch.Tensor | None, key: str = "event") -> None:
     LOG.append((key, env.common_step_counter, None if env_ids is None else env_ids.tolist()))
 
 
-def draw_once(env: Env, env_ids: torch.Tensor | None, generator: torch.Generator, key: str) -> None:
-    LOG.append((key, float(torch.rand(1, generator=generator))))
-
-
 def drawing_observation(env: Env, generator: torch.Generator) -> torch.Tensor:
     return torch.rand(env.num_envs, 1, generator=generator)
 

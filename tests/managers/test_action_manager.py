@@ -60,7 +60,6 @@ def test_wrong_settings_name_their_key(start_env, fields, key):
     [
         (["right_hip", "left_hip"], True, [2.0, 1.0]),
         (["right_hip", "left_hip"], False, [1.0, 2.0]),
-        (["right_axle", "left_axle", "right_hip", "left_hip"], True, [4.0, 3.0, 2.0, 1.0]),
     ],
 )
 def test_preserve_order_uses_the_order_of_the_expressions(start_env, names, preserve, expected):

@@ -159,14 +159,6 @@ def test_the_metric_is_sampled_before_the_command_is_redrawn(start_env):
     torch.testing.assert_close(term.metrics[0], old.norm(dim=1) * 0.02 / 0.02)
 
 
-def test_a_changed_range_is_not_undone_by_a_restored_state(start_env):
-    first, _ = _env(start_env)
-    second, term = _env(start_env, ranges={k: [2.0, 3.0] for k in RANGES}, resampling_time_range=[0.02, 0.02])
-    second.load_state_dict(first.state_dict())
-    second.command_manager.reset(torch.arange(4))
-    assert (term.command >= 2.0).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "key"),
     [

@@ -204,13 +204,6 @@ def test_a_reset_restarts_terms_and_modifiers_and_redraws_biases_for_its_environ
     assert (third[:, 2] == first[:, 2]).tolist() == [True, True, False, True]
 
 
-def test_noise_of_one_term_does_not_depend_on_other_terms(make_env):
-    terms = {name: _value(name, noise={"_target_": N + "UniformNoise"}) for name in "ba"}
-    alone, both = (_env(make_env, t, enable_corruption=True) for t in ({"a": terms["a"]}, terms))
-    for _ in range(3):
-        assert torch.equal(_read(alone)[:, 0], _read(both)[:, 1])
-
-
 @pytest.mark.parametrize(
     ("key", "fields", "expected"),
     [

@@ -106,7 +106,7 @@ def test_each_episode_has_its_own_rows_and_no_others(make):
 
 
 def test_long_episodes_are_whole(make):
-    """The episodes have more steps than the first buffer, while other episodes end."""
+    """Rows that are older than all present episodes are dropped."""
     env = make("Clock", episode_length_s=100.0)
     for number in range(1, 301):
         step(env, [0, 1, 2] if number % 7 == 0 else [3] if number % 150 == 0 else [])

@@ -2,7 +2,6 @@
 
 import torch
 
-from managers import spies
 from wheelleg_exp.managers.streams import Streams, stream_seed
 
 
@@ -48,17 +47,3 @@ def test_saved_streams_continue_where_they_were():
     other = Streams(99)
     other.load_state_dict(saved)
     assert (_draws(other, "a"), _draws(other, "late")) == expected
-
-
-def test_adding_a_term_changes_no_other_terms_draws(make_env):
-    logs = []
-    for names in (("a", "c"), ("a", "b", "c"), ("c", "a")):
-        spies.LOG.clear()
-        env = make_env(events={n: {"_target_": spies.HERE + "draw_once", "mode": "reset", "key": n} for n in names})
-        for _ in range(3):
-            env.reset()
-        logs.append(spies.LOG.copy())
-    for key in ("a", "c"):
-        drawn = [[v for k, v in log if k == key] for log in logs]
-        assert drawn[0] == drawn[1] == drawn[2]
-        assert len(set(drawn[0])) == 3

@@ -146,10 +146,11 @@ def test_null_terms_are_absent_and_the_others_follow_the_order_of_the_config(sta
     assert (env.reward_manager.active_terms, env.event_manager.active_terms) == (["b", "a", "c"], {})
 
 
-def test_an_unknown_term_names_the_nearest(make_env):
-    env = make_env(rewards={"alive": ALIVE})
+def test_an_unknown_term_that_a_curriculum_names_is_reported_with_the_nearest(make_env):
+    change = {"_target_": "wheelleg_exp.mdp.curriculums.modify_reward_weight", "weight": 3.0, "num_steps": 2}
+    env = make_env(rewards={"alive": ALIVE}, curriculum={"c": change | {"term_name": "alve"}})
     with pytest.raises(ConfigError) as caught:
-        env.reward_manager.get_term_cfg("alve")
+        env.reset()
     assert caught.value.nearest == "alive"
 
 

@@ -62,10 +62,7 @@ def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> li
 class ActionManager(ManagerBase):
     """Splits the action vector into one slice for each action term, in the order of the config.
 
-    The field ``delay`` of an action term delays the term's processed actions by a number of physics steps.
-
-    Attributes:
-        delays: the buffers of delayed action terms, by the name of the term.
+    The field ``delay`` of a term delays its processed actions by physics steps; ``delays`` has the buffers by name.
     """
 
     kind = "actions"

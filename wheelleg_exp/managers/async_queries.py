@@ -85,31 +85,22 @@ def is_finite(total: torch.Tensor) -> bool:
     """
     if not total.is_cuda:
         return math.isfinite(float(total))
-    watch = _watch(total.device)
+    watch = finite_watch(total.device)
     if not torch.cuda.is_current_stream_capturing() and not watch.is_calm():
         return math.isfinite(float(total))
     watch.note(total)
     return True
 
 
-def note(total: torch.Tensor) -> None:
-    """Let later calls of ``is_calm`` check a GPU tensor with one element for NaN and inf."""
-    _watch(total.device).note(total)
-
-
-def is_calm(device: torch.device) -> bool:
-    """Return True if no recent check found NaN or inf in tensors on a GPU; always return False for a CPU."""
-    return device.type == "cuda" and _watch(device).is_calm()
-
-
-def _watch(device: torch.device) -> _FiniteWatch:
+def finite_watch(device: torch.device) -> FiniteWatch:
+    """Return the object that detects NaN and inf in tensors on a GPU; each GPU has one."""
     index = torch.cuda.current_device() if device.index is None else device.index
     if index not in _watches:
-        _watches[index] = _FiniteWatch(torch.device("cuda", index))
+        _watches[index] = FiniteWatch(torch.device("cuda", index))
     return _watches[index]
 
 
-class _FiniteWatch:
+class FiniteWatch:
     """Detects NaN and inf in GPU tensors without waiting for the GPU."""
 
     def __init__(self, device: torch.device) -> None:
@@ -123,7 +114,7 @@ class _FiniteWatch:
         self._sum.addcmul_(total, self._zero)  # a single kernel
 
     def is_calm(self) -> bool:
-        """Return True, but False in the first ``_PATIENCE`` calls after NaN or inf was found on the GPU."""
+        """Return False in the first ``_PATIENCE`` calls after NaN or inf was found on the GPU, otherwise True."""
         if self._waits == 0 and math.isnan(self._host_sum):
             self._waits = _PATIENCE
             self._sum.zero_()
@@ -138,4 +129,4 @@ class _FiniteWatch:
 
 
 _EVERY, _PATIENCE = 16, 256  # checks
-_watches: dict[int, _FiniteWatch] = {}  # by GPU index
+_watches: dict[int, FiniteWatch] = {}  # by GPU index

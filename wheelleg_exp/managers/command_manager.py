@@ -88,10 +88,7 @@ class CommandTerm(TermBase):
         self.read_settings()
 
     def read_settings(self) -> None:
-        """Read the command's settings again.
-
-        Subclasses must change tensors in place, because CUDA graphs read fixed memory addresses.
-        """
+        """Read the command's settings again; change tensors in place, because CUDA graphs read fixed addresses."""
 
     def may_expire(self, dt: float) -> bool:
         """Return whether any environment's resampling timer may expire within ``dt`` seconds; do not wait for a GPU."""
@@ -119,11 +116,7 @@ class CommandTerm(TermBase):
 
 
 class CommandManager(ManagerBase):
-    """Advances all command terms, and logs the metrics of the terms.
-
-    Attributes:
-        step_errors: the last control step's tracking errors (M, N) of each command term; checkpoints omit these errors.
-    """
+    """Advances command terms, and logs their metrics; ``step_errors`` has the last tracking errors (M, N) by term."""
 
     kind = "commands"
     columns = ("shape",)

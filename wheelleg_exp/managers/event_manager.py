@@ -89,8 +89,8 @@ class EventManager(ManagerBase):
             if mode == "reset":
                 if global_env_step_count is None:
                     raise ValueError("reset events need global_env_step_count")
-                everyone = torch.arange(self._num_envs, device=self._env.device) if ids is None else ids
-                ids = self._due(name, term, everyone, global_env_step_count)
+                ids = torch.arange(self._num_envs, device=self._env.device) if ids is None else ids
+                ids = self._due(name, term, ids, global_env_step_count)
             if ids is not None and not len(ids):
                 continue
             if mode == "prestartup":  # ``prestartup`` events run before the simulation is built.
@@ -106,10 +106,7 @@ class EventManager(ManagerBase):
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run interval events with expired timers, and the events of mode ``step``; return whether any event ran.
-
-        ``dt`` is the duration of the control step, s.
-        """
+        """Run the events due in a control step of ``dt`` s: expired intervals and mode ``step``; return if any ran."""
         ran = False
         for name, term in self._modes.get("interval", {}).items():
             if not may_be_due(self._time_left[name], float(term.fields["interval_range_s"][0]), dt):

@@ -60,11 +60,7 @@ class OfEnv:
 
 
 class ManagerTermBase(OfEnv, TermBase):
-    """A class term in Isaac Lab's style: made by ``(cfg, env)``, called with the environment and the parameters.
-
-    Args:
-        cfg: the term, with ``func``, ``params``, and the fields of the manager.
-    """
+    """A class term in Isaac Lab's style: made by ``(cfg, env)``, called with the environment and the parameters."""
 
     def __init__(self, cfg: Term, env: Env) -> None:
         self.cfg = cfg
@@ -192,11 +188,9 @@ class _Blamed:
 
 
 def bind_terms(kind: str, section: str, nodes: Terms, env: Env, *, instantiate: bool = True) -> dict[str, Term]:
-    """Bind every term of a config section, in the order of the config.
+    """Bind every term of the config section at the key ``section``; ``kind`` is the kind of the terms: ``rewards``.
 
-    ``kind`` is the kind of the terms, such as ``rewards``. ``section`` is the config key that contains the terms, such
-    as ``env.rewards``. If ``instantiate`` is False, the caller must later create the terms' objects with
-    ``instantiate_term``.
+    If ``instantiate`` is False, the caller must later create the terms' objects with ``instantiate_term``.
     """
     terms = {}
     for name, settings in nodes.items():
@@ -227,10 +221,7 @@ def _params(term: Term, arguments: Mapping[str, object], env: Env) -> dict[str, 
 
 
 def instantiate_term(term: Term, env: Env) -> None:
-    """Create the object of a term whose ``func`` is a class, store it as ``func``, and note the term's settings.
-
-    The parameters of a term in Isaac Lab's style are passed to each call of the object, not to its constructor.
-    """
+    """Create the object of a term whose ``func`` is a class, store it as ``func``, and note the term's settings."""
     kind: Any = term.func
     if not inspect.isclass(term.func):
         term.bound()
@@ -290,11 +281,7 @@ def _built(value: object, path: str) -> Any:
 
 
 class ManagerBase(OfEnv, Stateful):
-    """Base class of managers; a manager owns the terms of one config section.
-
-    Attributes:
-        columns: titles of the columns that ``_cells`` adds to the table of terms.
-    """
+    """Base class of managers, which own the terms of one config section; ``columns`` are the titles of ``_cells``."""
 
     kind: ClassVar[str]
     columns: ClassVar[tuple[str, ...]] = ()
@@ -310,12 +297,8 @@ class ManagerBase(OfEnv, Stateful):
         """Names of the manager's terms, in the order of the config."""
         return list(self._terms)
 
-    @property
-    def term_names(self) -> list[str]:
-        """Names of all terms in the order of the config, as a flat list."""
-        return list(self._terms)
-
-    _term_names = term_names  # Isaac Lab's terms read this private attribute.
+    # ``active_terms`` of events is a dictionary, ``term_names`` is not; terms for Isaac Lab read the private name.
+    term_names = _term_names = active_terms
 
     @property
     def bound_terms(self) -> list[Term]:

@@ -1,7 +1,6 @@
 """Detect NaN and inf, name the manager term that produced NaN or inf, and save the state that led to it.
 
-To save time, each control step checks only whether the sum of all rewards or observations is finite. If the sum of all
-rewards or observations is not finite, each value is checked.
+To save time, each value is checked only if the sum of all rewards or observations of a control step is not finite.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any
 import torch
 
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.managers.async_queries import is_calm, is_finite, note
+from wheelleg_exp.managers.async_queries import finite_watch, is_finite
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
 
@@ -99,7 +98,7 @@ def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torc
 def note_observations(env: Env) -> None:
     """Start to check on a GPU whether the current observations are finite, without waiting for the result."""
     if env.device.type == "cuda" and (parts := _parts(env)):
-        note(functools.reduce(torch.add, [part.sum() for part in parts]))
+        finite_watch(env.device).note(functools.reduce(torch.add, [part.sum() for part in parts]))
 
 
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
@@ -108,7 +107,7 @@ def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_n
     The raised SimulationFailure names the first observation term with NaN or inf. ``only`` (N,) bool selects
     environments. Set ``is_noted`` if ``note_observations`` was called for the present observations.
     """
-    if is_noted and is_calm(env.device):
+    if is_noted and env.device.type == "cuda" and finite_watch(env.device).is_calm():
         return
     parts = _parts(env)
     if parts and may_fail(part.sum() for part in parts):

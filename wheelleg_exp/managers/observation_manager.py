@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -102,12 +102,12 @@ class ObservationManager(Stateful):
     def compute(self, only: torch.Tensor | None = None) -> dict[str, Group]:
         """Return the observation of every group, and advance the terms' noise, modifiers, and histories.
 
-        If a mask ``only`` (N,) bool is given, noise, modifiers, and histories advance only in environments where it is
-        True.
+        If the mask ``only`` (N,) bool is given, noise, modifiers, and histories advance only in its environments.
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
-        self.obs_buf = {group: self._computed(group, first, values) for group in self._groups}
+        samples = {group: [t.sample(values) for t in terms.values()] for group, terms in self._groups.items()}
+        self.obs_buf = {group: self._with_histories(group, samples[group], first, keep=True) for group in samples}
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
@@ -117,19 +117,8 @@ class ObservationManager(Stateful):
 
     def peek(self) -> dict[str, Group]:
         """Return the observations of all groups without noise; do not change any state."""
-        first = self._first_ids()
-        found: dict[str, Group] = {}
-        for group, terms in self._groups.items():
-            shown = {name: term.peek() for name, term in terms.items()}
-            row = self._rows.get(group)
-            if row is not None:
-                found[group] = row.appended(list(shown.values()), first)
-                continue
-            for name, term in terms.items():
-                if isinstance(term.history, HistoryBuffer):
-                    shown[name] = self._layouts[group].shown(term, term.history.appended(shown[name], first))
-            found[group] = self._layouts[group].join(shown)
-        return found
+        first, samples = self._first_ids(), {g: [t.peek() for t in ts.values()] for g, ts in self._groups.items()}
+        return {group: self._with_histories(group, samples[group], first, keep=False) for group in samples}
 
     def _first_ids(self) -> torch.Tensor | None:
         if not self._any_first:
@@ -183,17 +172,19 @@ class ObservationManager(Stateful):
             elif term.history_length:
                 term.history = HistoryBuffer(env.num_envs, term.history_length, term.sample_shape, env.device)
 
-    def _computed(self, group: str, first: torch.Tensor | None, values: Values) -> Group:
-        terms = self._groups[group]
+    def _with_histories(
+        self, group: str, samples: Sequence[torch.Tensor], first: torch.Tensor | None, *, keep: bool
+    ) -> Group:
+        """Return the observation of a group from a sample of each term; if ``keep``, store the samples in histories."""
         row = self._rows.get(group)
         if row is not None:
-            return row.append([term.sample(values) for term in terms.values()], first)
+            return row.append(samples, first) if keep else row.appended(samples, first)
         shown = {}
-        for name, term in terms.items():
-            shown[name] = term.sample(values)
+        for (name, term), sample in zip(self._groups[group].items(), samples, strict=True):
             if isinstance(term.history, HistoryBuffer):
-                shown[name] = self._layouts[group].shown(term, term.history.append(shown[name], first))
-            shown[name] = shown[name].clone()
+                history = term.history.append(sample, first) if keep else term.history.appended(sample, first)
+                sample = self._layouts[group].shown(term, history)
+            shown[name] = sample.clone()
         return self._layouts[group].join(shown)
 
     def __str__(self) -> str:

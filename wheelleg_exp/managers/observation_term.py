@@ -22,12 +22,7 @@ from wheelleg_exp.terms.term_errors import blamed, dotted_name
 
 @dataclass
 class Values:
-    """Observations of the present control step by observation term, so that equal terms are computed only once.
-
-    Attributes:
-        raw: results of the functions.
-        samples: the results after delay, modifiers, noise, clipping, and scaling.
-    """
+    """The functions' results (``raw``) and the ``samples`` of a control step, so that equal terms are computed once."""
 
     raw: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
     samples: dict[ObservationTerm, torch.Tensor] = field(default_factory=dict)
@@ -88,10 +83,7 @@ class ObservationTerm(Stateful):
             self.shape = (self.width * history_length,) if flatten else (history_length, *self.sample_shape)
 
     def share(self, others: Iterable[ObservationTerm]) -> None:
-        """Find a term in ``others`` with the same function and equal parameters, and reuse its observations.
-
-        A term with state or random numbers always computes its own observations.
-        """
+        """Reuse the observations of a term in ``others`` with the same function and equal parameters, but no state."""
         term = self.term
         if term.stateful is not None or term.generator is not None:
             return
@@ -108,10 +100,7 @@ class ObservationTerm(Stateful):
         return (self._clip, self._scale) if plain and not isinstance(self._scale, torch.Tensor) else object()
 
     def sample(self, values: Values) -> torch.Tensor:
-        """Draw noise, advance delay and modifiers, and return the sample (N, ...) of the observation term.
-
-        ``values`` stores the sample for other terms with the same function and equal parameters.
-        """
+        """Draw noise, advance delay and modifiers, and return the sample (N, ...); store it in ``values``."""
         owner = self
         # Since ``share`` was called, a curriculum may have changed a parameter of one of the two terms.
         is_same = all(now.keys() == then.keys() for now, then in self._when_shared)

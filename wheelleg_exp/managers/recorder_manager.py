@@ -20,53 +20,33 @@ Recorded = tuple[str | None, torch.Tensor | Mapping[str, object] | None]
 Arrays = dict[str, np.ndarray]
 _SUCCESS = "success"  # An episode that the termination `success` ends is a success.
 _OWN = ("episode", "rows")  # Keys of recorder terms cannot start with ``episode/`` or ``rows/``.
-_FIRST_ROOM = 64  # rows
 
 
 class Rows:
     """Stores a recorded quantity as rows (N, …), and deletes rows that are older than all current episodes."""
 
     def __init__(self, num_envs: int) -> None:
-        self._num_envs = num_envs
-        self._rows = np.empty((0,))
-        self._count = 0
+        self._rows: list[np.ndarray] = []
         self._starts = np.zeros(num_envs, dtype=np.int64)
 
     def append(self, value: np.ndarray, owner: str) -> None:
-        """Append ``value`` (N, …) as a new row. Errors contain ``owner``, the config key of the recorder term."""
-        if self._count and value.shape != self._rows.shape[1:]:
-            message = f"the recorded shape is {value.shape}, and was {self._rows.shape[1:]}"
+        """Append a copy of ``value`` (N, …) as a new row. Errors contain ``owner``, the recorder term's config key."""
+        if self._rows and value.shape != self._rows[0].shape:
+            message = f"the recorded shape is {value.shape}, and was {self._rows[0].shape}"
             raise ConfigError(message, key=owner, expected="the same shape at every call")
-        if self._count == len(self._rows):
-            self._make_room(value)
-        self._rows[self._count] = value
-        self._count += 1
-
-    def set(self, ids: np.ndarray, value: np.ndarray) -> None:
-        """Store ``value`` (n, …) as the only recorded row of each environment in ``ids``, in place of earlier rows."""
-        self._count = 0
-        if not len(self._rows):
-            self._make_room(np.zeros((self._num_envs, *value.shape[1:]), value.dtype))
-            self._rows[0] = 0
-        self._rows[0, ids] = value
-        self._count = 1
-        self._starts[:] = 0
+        first = int(self._starts.min())
+        del self._rows[:first]
+        self._starts -= first
+        self._rows.append(value.copy())
 
     def of(self, env_id: int) -> np.ndarray:
         """Return one environment's recorded rows of its current episode, (T, …) for T rows."""
-        return self._rows[self._starts[env_id] : self._count, env_id]
+        rows = [row[env_id] for row in self._rows[self._starts[env_id] :]]
+        return np.stack(rows) if rows else self._rows[0][:0]
 
     def begin(self, ids: np.ndarray) -> None:
         """Assign the rows recorded from now on to new episodes in the environments ``ids``."""
-        self._starts[ids] = self._count
-
-    def _make_room(self, value: np.ndarray) -> None:
-        first = int(self._starts.min())
-        present = self._rows[first : self._count]
-        grown = np.empty((max(_FIRST_ROOM, 2 * len(present)), *value.shape), value.dtype)
-        grown[: len(present)] = present if len(present) else 0
-        self._rows, self._count = grown, self._count - first
-        self._starts -= first
+        self._starts[ids] = len(self._rows)
 
 
 def recorded_arrays(returned: object, rows: int, source: str, code: object) -> Arrays:
@@ -160,7 +140,7 @@ class RecorderManager(ManagerBase):
         self._reads = any(t.reads_observations for _, t in self._hooks["record_post_step"])
         # A checkpoint contains no recorded rows: a resumed training records whole episodes only.
         self._rows: dict[str, Rows] = self.number("_rows", {}, saved=False)
-        self._initial: dict[str, Rows] = self.number("_initial", {}, saved=False)
+        self._initial: Arrays = self.number("_initial", {}, saved=False)  # a row for each environment
         self._owners: dict[str, str] = self.number("_owners", {}, saved=False)
         self._is_whole = self.number("_is_whole", np.zeros(self._num_envs, dtype=bool), saved=False)
         self._finished: dict[str, list[tuple[dict[str, int], Arrays]]] = self.number("_finished", {}, saved=False)
@@ -201,7 +181,8 @@ class RecorderManager(ManagerBase):
                 continue
             last_step = self._env.common_step_counter
             about = {"env": env_id, "length": length, "last_step": last_step, "success": success[place]}
-            arrays = {key: rows.of(env_id).copy() for key, rows in {**self._initial, **self._rows}.items()}
+            arrays = {key: value[env_id : env_id + 1].copy() for key, value in self._initial.items()}
+            arrays |= {key: rows.of(env_id) for key, rows in self._rows.items()}
             arrays |= {key: value[place : place + 1] for key, value in last.items()}
             self._finished.setdefault(group, []).append((about, arrays))
 
@@ -211,7 +192,7 @@ class RecorderManager(ManagerBase):
             return
         ids = env_ids.cpu().numpy()
         for key, value in self._only("record_post_reset", env_ids).items():
-            self._initial.setdefault(key, Rows(self._num_envs)).set(ids, value)
+            self._initial.setdefault(key, np.zeros((self._num_envs, *value.shape[1:]), value.dtype))[ids] = value
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Start new episodes of the environments ``env_ids``; return an empty log."""

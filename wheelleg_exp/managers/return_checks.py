@@ -26,10 +26,7 @@ class Form(Protocol):
 
 
 def require_form(form: Form, value: object, source: str, path: str, code: object) -> None:
-    """Raise ConfigError with the config key ``path`` unless a term's return value ``value`` has the form ``form``.
-
-    The error contains ``source``, the name of the function that returned ``value``, and the file and line of ``code``.
-    """
+    """Raise ConfigError, with the key ``path`` and the line of ``code``, unless what ``source`` returned has a form."""
     try:
         form.check(value, source)
     except ConfigError as error:

@@ -39,20 +39,13 @@ class RewardManager(ManagerBase):
         self._read_weights()
 
     def start_step(self) -> None:
-        """Clear ``non_finite``, and read the reward weights again, because a curriculum may have changed them.
-
-        The environment calls ``start_step`` once before ``compute``, because a CUDA graph cannot read the weights.
-        """
+        """Clear ``non_finite``, and read the weights, which a curriculum changes and a CUDA graph cannot read."""
         self.non_finite.clear()
         if self._weights != self._present_weights():
             self._read_weights()
 
     def compute(self, dt: float, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the reward (N,) of a control step, which is the ``sum over terms of value * weight * dt``.
-
-        ``dt`` is the duration of the control step, s. The reward of the environments in the mask ``skipped`` (N,) bool
-        is 0.
-        """
+        """Return the reward (N,) of a control step of ``dt`` s, which is 0 in the mask ``skipped`` (N,) bool."""
         if self._terms:
             weighted = zip(self._terms.values(), self._weights, strict=True)
             values = torch.stack([self._zeros if weight == 0.0 else term(self._env) for term, weight in weighted])

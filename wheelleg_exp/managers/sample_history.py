@@ -111,10 +111,7 @@ class RowHistoryPart(Stateful):
 
 
 def made_delay(term: Term, sample: torch.Tensor, env: Env, prompt: int) -> DelayBuffer | None:
-    """Return the buffer that delays a term's samples (N, ...); None without ``delay`` and ``delay_jitter``.
-
-    The samples of the first ``prompt`` environments are not delayed.
-    """
+    """Return the buffer that delays a term's samples (N, ...), except in the first ``prompt`` environments, or None."""
     low, high = term.fields.get("delay") or (0, 0)
     jitter = term.fields.get("delay_jitter") or 0
     if high + jitter == 0:

@@ -106,13 +106,11 @@ class SceneEntityCfg:
         if self.joint_names is not None:
             if not hasattr(entity, "find_joints"):
                 raise ConfigError(f"'{self.name}' has no joints", key=f"{path}.joint_names", expected="body_names only")
-            names, key = _listed(self.joint_names), f"{path}.joint_names"
-            ids, self.joint_names = entity.find_joints(names, key=key, preserve_order=self.preserve_order)
-            self.joint_ids = torch.tensor(ids, device=scene.device)
+            found = entity.find_joints(self.joint_names, key=f"{path}.joint_names", preserve_order=self.preserve_order)
+            self.joint_ids, self.joint_names = torch.tensor(found[0], device=scene.device), found[1]
         if self.body_names is not None:
-            names, key = _listed(self.body_names), f"{path}.body_names"
-            ids, self.body_names = entity.find_bodies(names, key=key, preserve_order=self.preserve_order)
-            self.body_ids = torch.tensor(ids, device=scene.device)
+            found = entity.find_bodies(self.body_names, key=f"{path}.body_names", preserve_order=self.preserve_order)
+            self.body_ids, self.body_names = torch.tensor(found[0], device=scene.device), found[1]
         self.joint_ids = _indices(self.joint_ids, len(getattr(entity, "joint_names", ())), scene.device)
         self.body_ids = _indices(self.body_ids, len(getattr(entity, "body_names", ())), scene.device)
         self._bodies = _on_host(self.body_ids, len(getattr(entity, "body_names", ())))
@@ -144,10 +142,6 @@ def _on_host(ids: Ids, count: int) -> list[int]:
     if isinstance(ids, slice):
         return list(range(count))[ids]
     return ids.tolist() if isinstance(ids, torch.Tensor) else list(ids)
-
-
-def _listed(names: str | Sequence[str]) -> list[str]:
-    return [names] if isinstance(names, str) else list(names)
 
 
 def bounds(
