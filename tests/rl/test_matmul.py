@@ -131,6 +131,7 @@ def test_auto_takes_bfloat16_where_the_cpu_has_units_and_on_intels_cpus_only_wit
     units(*cpu)
     assert has_units() == (found == "bfloat16")
     assert chosen_matmul(AGENT) == set_threads(AGENT, 1)["matmul"] == found
+    assert chosen_matmul(replace(AGENT, matmul=Agent.matmul)) == "float32"  # as in runs of before this key
 
 
 @pytest.mark.parametrize(
@@ -166,11 +167,6 @@ def test_gpus_take_tf32_and_compiled_networks_float32(units, other, found, refus
     assert chosen_matmul(replace(AGENT, **other)) == found
     with pytest.raises(ConfigError, match=r"agent\.matmul"):
         chosen_matmul(replace(AGENT, **other, matmul=refused))
-
-
-def test_a_run_of_before_the_key_had_float32(units):
-    units(True)
-    assert chosen_matmul(replace(AGENT, matmul=Agent.matmul)) == "float32"
 
 
 # --- in a training ---

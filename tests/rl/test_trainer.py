@@ -17,9 +17,9 @@ from .conftest import saved
 
 
 @pytest.fixture(scope="module")
-def adapter(make_trainer):
-    """Return an rsl_rl adapter with its environment, for tests that do not step it."""
-    return make_trainer().env
+def trainer(make_trainer):
+    """Return a trainer for tests that do not depend on the trainer's state."""
+    return make_trainer()
 
 
 def finish(trainer, until):
@@ -47,17 +47,17 @@ def test_the_seed_decides_the_first_weights(make_trainer):
     assert not torch.equal(weights(1), first)
 
 
-def test_the_agent_section_is_left_as_it_was(adapter, tiny_config):
+def test_the_agent_section_is_left_as_it_was(trainer, tiny_config):
     agent = tiny_config()["agent"]
     before = repr(agent)
-    build_algorithm(adapter, read_agent(agent))
+    build_algorithm(trainer.env, read_agent(agent))
     assert repr(agent) == before
 
 
-def test_an_unknown_observation_group_is_reported_with_the_nearest(adapter, tiny_config):
+def test_an_unknown_observation_group_is_reported_with_the_nearest(trainer, tiny_config):
     agent = tiny_config()["agent"] | {"obs_groups": {"actor": ["polcy"], "critic": ["critic"]}}
     with pytest.raises(ConfigError) as caught:
-        build_algorithm(adapter, read_agent(agent))
+        build_algorithm(trainer.env, read_agent(agent))
     error = caught.value
     assert (error.key, error.nearest) == ("agent.obs_groups.actor", "policy")
     assert "critic" in str(error.expected)
@@ -75,11 +75,11 @@ def test_an_unknown_observation_group_is_reported_with_the_nearest(adapter, tiny
         ("device", "cuda:77"),
     ],
 )
-def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(adapter, tiny_config, section, value):
+def test_a_value_that_rsl_rl_rejects_is_a_mistake_of_the_config(trainer, tiny_config, section, value):
     agent = tiny_config()["agent"]
     changed = value if section == "device" else agent[section] | value
     with pytest.raises(ConfigError, match=r"agent\.device" if section == "device" else "agent") as caught:
-        build_algorithm(adapter, read_agent(agent | {section: changed}))
+        build_algorithm(trainer.env, read_agent(agent | {section: changed}))
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -121,12 +121,6 @@ def test_returns_are_those_of_the_environment(make_trainer):
         returns += running[end].tolist()
         running = running * ~end
     assert done.scalars["Train/mean_reward"] == pytest.approx(sum(returns[-100:]) / len(returns[-100:]), rel=1e-5)
-
-
-@pytest.fixture(scope="module")
-def trainer(make_trainer):
-    """Return a trainer for tests that do not depend on the trainer's state."""
-    return make_trainer()
 
 
 def test_a_checkpoint_of_other_networks_does_not_fit(trainer, tiny_config, tmp_path):

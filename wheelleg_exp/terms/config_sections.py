@@ -6,7 +6,7 @@ import dataclasses
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from wheelleg_exp.constraints import Natural, Node, NonNegative, NonNegativeInterval, Share, Terms, rules_of
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
@@ -104,11 +104,9 @@ class ObservationGroup:
 _Options = TypeVar("_Options", bound="DataclassInstance")
 
 
-@dataclass(frozen=True)
-class Key:
-    """A valid key of a config section, with its type annotation."""
+class Key(NamedTuple):
+    """The type annotation of a key of a config section, and whether the section must have the key."""
 
-    name: str
     annotation: Any
     required: bool
 
@@ -118,7 +116,7 @@ def keys_of(options: type) -> dict[str, Key]:
     hints = typing.get_type_hints(options, include_extras=True)
     missing = dataclasses.MISSING
     return {
-        f.name: Key(f.name, hints[f.name], f.default is missing and f.default_factory is missing)
+        f.name: Key(hints[f.name], f.default is missing and f.default_factory is missing)
         for f in dataclasses.fields(options)
         if f.init
     }
@@ -128,16 +126,15 @@ def section_errors(path: str, node: Mapping[str, object], options: type) -> list
     """Return the errors in a config section ``node``; the dataclass ``options`` defines its valid keys and values."""
     keys = keys_of(options)
     errors = []
-    for name, value in node.items():
-        key = below(path, str(name))
-        if name in keys:
-            errors += _value_errors(key, value, keys[name].annotation)
+    for given_name, value in node.items():
+        if given_name in keys:
+            errors += _value_errors(below(path, given_name), value, keys[given_name].annotation)
         else:
-            expected, nearest = "one of " + ", ".join(keys), nearest_name(str(name), keys)
-            errors.append(UnreadKey(key=key, expected=expected, nearest=nearest))
-    for absent in keys.values():
-        if absent.required and absent.name not in node:
-            errors.append(MissingValue(key=below(path, absent.name), expected=describe(absent.annotation)))
+            expected, nearest = "one of " + ", ".join(keys), nearest_name(str(given_name), keys)
+            errors.append(UnreadKey(key=below(path, str(given_name)), expected=expected, nearest=nearest))
+    for name, key in keys.items():
+        if key.required and name not in node:
+            errors.append(MissingValue(key=below(path, name), expected=describe(key.annotation)))
     if errors:
         return errors
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)

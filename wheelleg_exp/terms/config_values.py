@@ -33,11 +33,7 @@ class Misfit:
 
 
 def fits(value: object, annotation: object) -> bool:
-    """Return whether a value from YAML has the type that an annotation names.
-
-    For example, an int fits the annotation ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. If
-    the annotation is a class or a callable, every value fits, because a ``_target_`` node builds the object.
-    """
+    """Return whether a value from YAML has the type that an annotation names; see ``misfits``."""
     return not misfits(value, annotation)
 
 
@@ -59,7 +55,11 @@ def require_fit(key: str, value: object, annotation: object) -> None:
 
 
 def misfits(value: object, annotation: object) -> list[Misfit]:
-    """Return all mistakes in a config value, such as a text where the type annotation requires a number."""
+    """Return all mistakes in a config value, such as a text where the type annotation requires a number.
+
+    An int fits ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. Every value fits a class or a
+    callable, because a ``_target_`` node builds the object.
+    """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:
         return []
@@ -81,7 +81,7 @@ def misfits(value: object, annotation: object) -> list[Misfit]:
         if not _SCALARS[annotation](value):
             return [_wrong_type(value, annotation)]
         if annotation is float and isinstance(value, float) and not math.isfinite(value):
-            return [_out_of_range(value, _FINITE)]
+            return [Misfit(f"{value!r} is out of range", _FINITE)]
         return []
     kind = origin or annotation
     if kind in _MAPPINGS:
@@ -160,7 +160,7 @@ def _of_elements(
     if any(m.is_type for m in found):
         return [_wrong_type(value, annotation)]
     expected = describe(annotation) + (", finite" * any(m.expected == _FINITE for m in found))
-    return [_out_of_range(value, expected)] if found else []
+    return [Misfit(f"{value!r} is out of range", expected)] if found else []
 
 
 def _wrong_type(value: object, annotation: object) -> Misfit:
@@ -169,10 +169,6 @@ def _wrong_type(value: object, annotation: object) -> Misfit:
     nearest = nearest_name(str(value), words)
     what = "is not known" if words and isinstance(value, str) else "is not of the right type"
     return Misfit(f"{value!r} {what}", describe(annotation), nearest=nearest, is_type=True)
-
-
-def _out_of_range(value: object, expected: str) -> Misfit:
-    return Misfit(f"{value!r} is out of range", expected)
 
 
 # --- annotation texts ---
