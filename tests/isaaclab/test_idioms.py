@@ -1,4 +1,7 @@
-"""Idioms of user-defined terms for Isaac Lab, one in each row, each compared with a known number."""
+"""Idioms of user-defined terms for Isaac Lab, one in each row with a known number, and the page that lists names."""
+
+import runpy
+from pathlib import Path
 
 import pytest
 import torch
@@ -11,6 +14,7 @@ from wheelleg_exp.isaaclab.utils.buffers import CircularBuffer, DelayBuffer
 from wheelleg_exp.managers import TermBase
 from wheelleg_exp.terms.term_binding import takes_cfg
 
+DOCS = Path(__file__).parents[2] / "docs"
 N, J = 4, 4
 MDP = "wheelleg_exp.mdp."
 RANGES = {"lin_vel_x": [-0.5, 0.5], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]}
@@ -194,3 +198,13 @@ def test_buffers_store_the_last_samples_of_each_environment():
         late.set_time_lag(3)
     with pytest.raises(RuntimeError, match="append first"):
         CircularBuffer(2, 1, "cpu")[torch.zeros(1, dtype=torch.long)]
+
+
+def test_the_tables_are_what_the_code_has():
+    maker = runpy.run_path(str(DOCS / "make_isaaclab.py"))
+    made = maker["page"]()
+    assert (DOCS / "tables/isaaclab_names.md").read_text(encoding="utf-8") == made, "run: python docs/make_reference.py"
+    assert "|  |" not in made
+    names = maker["names"]()["names"]["ArticulationData"]  # all fields of Isaac Lab's class
+    assert len(names) == len(set(names)) == 129
+    assert {"root_state_w", "joint_limits", "com_pos_b", "GRAVITY_VEC_W"} <= set(names)

@@ -48,10 +48,7 @@ class ActionTerm(TermBase):
 
 
 def shared_action_errors(claims: Iterable[tuple[str, str, Sequence[str]]]) -> list[ConfigError]:
-    """Return an error for each joint whose target two terms set: only the later term would have an effect.
-
-    ``claims`` has a tuple for each action term: config key, kind of joint targets (such as ``position``), joint names.
-    """
+    """Return an error for each joint that two ``claims`` set: (config key, kind of targets, joints) of each term."""
     by_kind: dict[str, list[tuple[str, str, Sequence[str]]]] = {}
     for path, kind, joints in claims:
         by_kind.setdefault(kind, []).append((path.rpartition(".")[2], f"{path}.joint_names", joints))

@@ -117,11 +117,7 @@ class Term(Stateful):
             super().__setattr__(name, value)
 
     def __call__(self, *args: object) -> Any:
-        """Call the term with the environment (and ids), and check that the term's return value has the required form.
-
-        An exception in a term's code becomes a ConfigError in the term's first call, and a SimulationFailure in all
-        later calls of the term.
-        """
+        """Call the term with the environment (and ids), check the return value, and name the term in its exceptions."""
         with self.blamed():
             value = self.func(*args, **self.params)
         if self.form is not None:

@@ -67,10 +67,7 @@ class ObservationManager(Stateful):
         return {group: layout.shape for group, layout in self._layouts.items()}
 
     def term_parts(self, group: str) -> dict[str, list[slice]]:
-        """Return the position of each term in the concatenated observation of a group, as a list of slices.
-
-        With ``history_order: time`` a term has one slice for each step, oldest first, otherwise one slice.
-        """
+        """Return each term's slices of a group: one, or with ``history_order: time`` one a step, oldest first."""
         return dict(self._layouts[group].parts)
 
     def term_slices(self, group: str) -> dict[str, slice]:

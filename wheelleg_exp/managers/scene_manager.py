@@ -22,11 +22,7 @@ _Part = TypeVar("_Part")
 
 
 class SceneManager:
-    """The scene, built from an environment's options and the robot's MJCF file.
-
-    ``stream(key)`` returns the random generator for a config key. Without ``stream``, the scene's random generators
-    start from the seed 0.
-    """
+    """The scene of an environment's options; ``stream(key)`` returns a config key's generator, by default of seed 0."""
 
     def __init__(
         self,

@@ -57,10 +57,7 @@ def joined(first: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> dic
 
 
 def tree_digest(tree: object) -> str:
-    """Return a hash (16 hexadecimal digits) of nested mappings and sequences of tensors, numbers, and text.
-
-    The key, type, and length of each entry are hashed, so that trees with different structures have different hashes.
-    """
+    """Return a hash (16 hexadecimal digits) of the structure, types, and values of nested mappings and sequences."""
     digest = hashlib.sha256()
     _update(digest, "", tree)
     return digest.hexdigest()[:_LENGTH]

@@ -45,11 +45,7 @@ def load_teacher(algorithm: Distillation, state: Mapping[str, object]) -> None:
 
 
 def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups: Mapping[str, Sequence[str]]) -> None:
-    """Load the networks of a checkpoint into an rsl_rl algorithm.
-
-    Observation terms that are new and at the end of a network's inputs get weights of 0.
-    ``load_initial`` draws no random numbers, so a training's random streams do not depend on the initial networks.
-    """
+    """Load a checkpoint's networks without a random draw; new terms at the end of the inputs get weights of 0."""
     whose = initial.facts.get("named") or initial.facts.get("checkpoint")
     wrong, state = [], dict(initial.state)
     for role in (part for part in initial.parts if part in checkpoint.ROLES):

@@ -11,12 +11,7 @@ from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf
 
 
 class RslRlVecEnv(VecEnv):
-    """Adapts ``ManagerBasedRLEnv`` to rsl_rl's ``VecEnv``.
-
-    Args:
-        env: the environment. ``RslRlVecEnv`` resets the environment, as Isaac Lab's wrapper for rsl_rl does.
-        clip_actions: bound of the raw actions, or None.
-    """
+    """Adapts ``ManagerBasedRLEnv``, which is reset, to rsl_rl's ``VecEnv``; ``clip_actions`` bounds raw actions."""
 
     def __init__(self, env: ManagerBasedRLEnv, clip_actions: float | None = None) -> None:
         self.env = env

@@ -33,8 +33,7 @@ class NotAllowed(ConfigError):
 def allowed_packages() -> tuple[str, ...]:
     """Return the packages whose functions configs can call: this package's terms, and packages that declare themselves.
 
-    A user's package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is the
-    package's name. Entry points can be in installed packages and in the ``pyproject.toml`` of the user's project.
+    A package declares itself with an entry point in the group ``wheelleg_exp.packages``, whose value is its name.
     """
     return tuple(dict.fromkeys((*_OWN_PACKAGES, *_declared_packages(), *joined_packages())))
 
@@ -237,10 +236,7 @@ def resolve_target(target: str, path: str) -> Callable[..., object]:
 
 
 def resolve_class(name: object) -> Callable[..., object] | None:
-    """Return the class or function that a ``class_name`` in an agent config names, or None if the name does not exist.
-
-    Raise ConfigError if rsl_rl cannot import the module that ``class_name`` names.
-    """
+    """Return what a ``class_name`` of an agent names, or None; raise ConfigError if its module cannot be imported."""
     from rsl_rl.utils import resolve_callable
 
     text = str(name).replace(":", ".")

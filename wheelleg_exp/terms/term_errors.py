@@ -51,7 +51,18 @@ def field_errors(section: str, term: binding.TermNode) -> Iterator[ConfigError]:
 
 def parameter_errors(section: str, term: binding.TermNode, target: Callable[..., object]) -> list[ConfigError]:
     """Return the mistakes in a term's parameters: their names, their values, and the rules between them."""
-    return list(_name_errors(section, term, target)) + _value_errors(term, target)
+    errors = list(_name_errors(section, term, target))
+    hints, accepted = type_hints(target), binding.signature_parameters(target)
+    wrong: list[ConfigError] = []
+    for name, value in term.params.items():
+        is_default = value is None and name in accepted and accepted[name].default is None
+        if name in hints and not has_target(value) and not is_default:
+            wrong += value_errors(below(term.path, name), value, hints[name])
+    given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
+    if not wrong and all(value is not inspect.Parameter.empty for value in given.values()):
+        broken = (found for rule in rules_of(target) for found in rule(given))
+        wrong = [ConfigError(b.message, key=f"{term.path}.{b.key}", expected=b.expected) for b in broken]
+    return errors + wrong
 
 
 def nested_errors(path: str, node: Mapping[str, object], target: Callable[..., object]) -> list[ConfigError]:
@@ -92,31 +103,8 @@ def _name_errors(section: str, term: binding.TermNode, target: Callable[..., obj
         yield ConfigError(message, key=term.path, expected="a value for each parameter without a default")
 
 
-def _value_errors(term: binding.TermNode, target: Callable[..., object]) -> list[ConfigError]:
-    hints = type_hints(target)
-    errors: list[ConfigError] = []
-    accepted = binding.signature_parameters(target)
-    for name, value in term.params.items():
-        is_default = value is None and name in accepted and accepted[name].default is None
-        if name in hints and not has_target(value) and not is_default:
-            errors += value_errors(below(term.path, name), value, hints[name])
-    if errors:
-        return errors
-    given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
-    if any(value is inspect.Parameter.empty for value in given.values()):
-        return []  # ``_name_errors`` reports missing parameters
-    return [
-        ConfigError(broken.message, key=f"{term.path}.{broken.key}", expected=broken.expected)
-        for rule in rules_of(target)
-        for broken in rule(given)
-    ]
-
-
 def type_hints(target: Callable[..., object]) -> dict[str, object]:
-    """Return the annotations of the parameters of a function or class, including constraints.
-
-    ``type_hints`` omits annotations that cannot be evaluated, such as classes imported only under ``TYPE_CHECKING``.
-    """
+    """Return the annotations of parameters, except those that fail, such as imports under ``TYPE_CHECKING``."""
     target = binding.read_from(target)
     function = target.__init__ if inspect.isclass(target) else target
     try:
