@@ -116,7 +116,7 @@ def test_joint_accelerations_are_zero_after_a_reset(make_env):
     observed, _ = env.reset()
     assert (observed["policy"] == 0).all()
     before = env.scene.robot.data.joint_vel.clone()
-    env.scene.robot.data.begin_control_step()
+    env.scene.robot.begin_control_step()
     physics_step(env)
     close(observations.joint_acc(env), ((env.scene.robot.data.joint_vel - before) / 0.01).tolist())
 

@@ -260,8 +260,7 @@ class Scene(Stateful):
 
     def show_written(self) -> None:
         """Recompute link poses and sensor data of the environments whose robot state was written."""
-        if self.robot.is_stale:
-            ids = self.robot.take_stale()
+        if (ids := self.robot.take_stale()) is not None:
             self.sim.forward(ids)
             self.robot.data.outputs_refreshed()
             for sensor in self.sensors.values():

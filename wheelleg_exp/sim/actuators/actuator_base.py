@@ -19,7 +19,7 @@ from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
 
 if TYPE_CHECKING:
-    from wheelleg_exp.sim.robot_data import RobotData
+    from wheelleg_exp.sim.articulation_data import ArticulationData
 
 
 PerJoint = NonNegative | Mapping[str, NonNegative]
@@ -137,12 +137,12 @@ class ActuatorBase(Stateful):
         """Clear the actuator model's memory in the environments ``env_ids``; by default, fill its buffers."""
         self.reset_rows(env_ids)
 
-    def act(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def act(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         """Delay the joint targets, and return the resulting MuJoCo controls of the actuator group, (N, joints)."""
         delayed = targets if self.delay is None else self.delay.push(targets)
         return self._of_joints(self.control(delayed, data), "control")
 
-    def torque_asked(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def torque_asked(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         """Compute the unclipped torques, N·m, (N, joints), from the delayed joint targets of the last physics step."""
         torque = self.computed_torque(targets if self.delay is None else self.delay.targets, data)
         return self._of_joints(torque, "computed_torque")
@@ -155,11 +155,11 @@ class ActuatorBase(Stateful):
             raise ConfigError(message, where=code_place(getattr(self, method)), expected=expected)
         return value
 
-    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def control(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         """Return the MuJoCo controls (N, joints of the actuator group) for the given joint targets and robot state."""
         raise NotImplementedError("an actuator model must define the method 'control(targets, data)'")
 
-    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def computed_torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         """Return the actuator group's unclipped torques at the start of the last physics step, N·m, (N, joints)."""
         raise NotImplementedError("an actuator model must define the method 'computed_torque(targets, data)'")
 

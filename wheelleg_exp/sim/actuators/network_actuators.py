@@ -28,7 +28,7 @@ from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.robot_model import JointTargets
 
 if TYPE_CHECKING:
-    from wheelleg_exp.sim.robot_data import RobotData
+    from wheelleg_exp.sim.articulation_data import ArticulationData
 
 
 _LANGUAGE = frozenset(
@@ -154,7 +154,7 @@ class ActuatorNet(DCMotor):
         """Load the network from a file, and run it once; raise ConfigError if it cannot be used."""
         self.network = Network(file, key, device)
 
-    def _motion(self, targets: JointTargets, data: RobotData) -> tuple[torch.Tensor, torch.Tensor]:
+    def _motion(self, targets: JointTargets, data: ArticulationData) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the position errors, rad, and the speeds, rad/s, of the actuator group's joints, both (N, k)."""
         ids = self.joint_ids
         return targets.pos[:, ids] - data.joint_pos[:, ids], data.joint_vel[:, ids]
@@ -209,7 +209,7 @@ class ActuatorNetMLP(ActuatorNet):
         shape = (num_envs, max(self._input_idx) + 1, 2, len(self.joint_names))
         self._past = self.buffer("_past", torch.zeros(shape, device=device), fill=0.0)
 
-    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def _torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         error, speed = self._motion(targets, data)
         now = torch.stack((error, speed), dim=1).unsqueeze(1)
         self._past.copy_(torch.cat((now, self._past[:, :-1]), dim=1))
@@ -253,7 +253,7 @@ class ActuatorNetLSTM(ActuatorNet):
         for memory in (self._hidden, self._cell):
             fill_rows(memory.view(self._rows).transpose(0, 1), env_ids, 0.0)
 
-    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def _torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         error, speed = self._motion(targets, data)
         inputs = torch.stack((error.flatten(), speed.flatten()), dim=1).unsqueeze(1)
         torque, (hidden, cell) = self.network(inputs, (self._hidden, self._cell))

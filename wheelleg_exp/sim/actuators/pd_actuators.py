@@ -14,7 +14,7 @@ from wheelleg_exp.sim.actuators.actuator_base import ActuatorBase, Delay, LimitP
 from wheelleg_exp.sim.robot_model import JointTargets
 
 if TYPE_CHECKING:
-    from wheelleg_exp.sim.robot_data import RobotData
+    from wheelleg_exp.sim.articulation_data import ArticulationData
 
 
 class ImplicitActuator(ActuatorBase):
@@ -31,14 +31,14 @@ class ImplicitActuator(ActuatorBase):
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
         actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
 
-    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def control(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         del data  # MuJoCo's solver itself adds the feedback -kp q - kd qd of joint positions q and velocities qd.
         ids = self._columns
         control = self.stiffness * targets.pos[:, ids]
         control += self.damping * targets.vel[:, ids]
         return control.add_(targets.effort[:, ids])
 
-    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def computed_torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         return self._drive(targets, data.joint_pos_before, data.joint_vel_before)
 
 
@@ -55,18 +55,18 @@ class IdealPDActuator(ActuatorBase):
         torque = torch.zeros(num_envs, len(self.joint_names), device=self.joint_ids.device)
         self._computed = self.buffer("_computed", torque)
 
-    def control(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def control(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         self._computed = self._torque(targets, data)
         return self._clipped(self._computed, data)
 
-    def _torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def _torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         return self._drive(targets, data.joint_pos, data.joint_vel)
 
-    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+    def _clipped(self, torque: torch.Tensor, data: ArticulationData) -> torch.Tensor:
         del data
         return torch.clamp(torque, -self.effort_limit, self.effort_limit)
 
-    def computed_torque(self, targets: JointTargets, data: RobotData) -> torch.Tensor:
+    def computed_torque(self, targets: JointTargets, data: ArticulationData) -> torch.Tensor:
         del targets, data
         return self._computed
 
@@ -113,7 +113,7 @@ class DCMotor(IdealPDActuator):
         super().resolve(joint_names, key, device)
         self._saturation = torch.tensor(self._per_joint["saturation_effort"], dtype=torch.float32, device=device)
 
-    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+    def _clipped(self, torque: torch.Tensor, data: ArticulationData) -> torch.Tensor:
         beyond = self.velocity_limit * (1 + self.effort_limit / self._saturation)
         speed = torch.clamp(data.joint_vel[:, self.joint_ids], -beyond, beyond) / self.velocity_limit
         top = torch.minimum(self._saturation * (1 - speed), self.effort_limit)
@@ -195,7 +195,7 @@ class RemotizedPDActuator(DelayedPDActuator):
         super().resolve(joint_names, key, device)
         self._angles, _, self._largest = torch.tensor(self._table, device=device).T.contiguous()
 
-    def _clipped(self, torque: torch.Tensor, data: RobotData) -> torch.Tensor:
+    def _clipped(self, torque: torch.Tensor, data: ArticulationData) -> torch.Tensor:
         position = data.joint_pos[:, self.joint_ids]
         above = torch.bucketize(position, self._angles).clamp(1, len(self._angles) - 1)
         low, high = self._angles[above - 1], self._angles[above]
