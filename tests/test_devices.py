@@ -27,7 +27,7 @@ NOT_IN_A_STEP = frozenset(
     """__init__ __str__ resolve connect bind exclude _end_failed failures evidence failure require_finite_writes
     load_state_dict state_dict restore save shape_ids set_external_force_and_torque get_active_iterable_terms
     model_digest checked_rays constant _plain _number set_permanent_body_wrench
-    _require_order _judge _on_host rolling_signs _endings record_pre_reset in_world_convention opengl_quat""".split()  # noqa: SIM905
+    _require_order _judge _on_host rolling_signs _endings record_pre_reset in_world_convention add_to""".split()  # noqa: SIM905
 )
 HOST = {
     "state/values.py": "the door out",

@@ -11,6 +11,7 @@ function or class.
 
 from __future__ import annotations
 
+import inspect
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
@@ -182,15 +183,14 @@ class Broken(NamedTuple):
     expected: str
 
 
-Rule = Callable[[Mapping[str, object]], Iterator[Broken]]
-_Target = TypeVar("_Target", bound=Callable[..., Any])
+_Target = TypeVar("_Target", bound=Callable[..., object])
 _RULES = "_relations"
 
 
-def relation(rule: Rule) -> Callable[[_Target], _Target]:
+def relation(rule: Callable[..., Iterator[Broken]]) -> Callable[[_Target], _Target]:
     """Add a rule about several parameters to a function or class.
 
-    ``rule`` gets the values of all parameters, after each single value has been checked.
+    ``rule`` gets the values of the parameters that it names, or of all for ``**``, after each value has been checked.
     """
 
     def attach(target: _Target) -> _Target:
@@ -200,6 +200,9 @@ def relation(rule: Rule) -> Callable[[_Target], _Target]:
     return attach
 
 
-def rules_of(target: Callable[..., object]) -> Sequence[Rule]:
-    """Return the parameter rules that the decorator ``relation`` attached to a function, class, or base class."""
-    return getattr(target, _RULES, ())
+def broken_rules(target: Callable[..., object], given: Mapping[str, object]) -> Iterator[Broken]:
+    """Yield the violated rules of a function, class, or base class, whose parameters have the values ``given``."""
+    for rule in getattr(target, _RULES, ()):
+        names = inspect.signature(rule).parameters
+        takes_all = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in names.values())
+        yield from rule(**{name: value for name, value in given.items() if takes_all or name in names})

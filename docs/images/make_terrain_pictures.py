@@ -100,9 +100,9 @@ def scene() -> None:
     x, y = (edge * count / 2 + 0.3 for edge, count in zip(ground.size, (10, 10), strict=True))
     figure, axes = plt.subplots(figsize=(7.5, 7.2), dpi=110, layout="constrained")
     shaded(axes, heights(ground, (-x, -y), (x, y), 1400), (-y, y, -x, x), 40)
-    names, columns = list(ground.layout.sub_terrains), ground.terrain_origins
+    names, columns = list(ground.sub_terrains), ground.terrain_origins
     for column in range(10):
-        name = names[ground.relief.kinds[0, column]]
+        name = names[ground.kinds[0, column]]
         axes.text(float(columns[0, column, 1]), x + 0.05, name, rotation=45, fontsize=8)
     axes.set(xlabel="y (m): kinds", ylabel="x (m): levels, 0 to 9")
     figure.colorbar(plt.cm.ScalarMappable(plt.Normalize(-40, 40), "cividis"), ax=axes, label="height (mm)", shrink=0.7)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
@@ -28,12 +28,12 @@ Ground = Literal["flat", "own"]
 Speeds = Annotated[list[float], NotEmpty()]
 
 
-def _some_step(steps: Mapping[str, object]) -> Iterator[Broken]:
-    if not steps["lin_vel_x"] and not steps["ang_vel_z"]:
+def _some_step(lin_vel_x: list[float], ang_vel_z: list[float]) -> Iterator[Broken]:
+    if not lin_vel_x and not ang_vel_z:
         yield Broken("lin_vel_x", "the step test has no speed", "a speed here or in ang_vel_z")
 
 
-def _something_counts(protocol: Mapping[str, Any]) -> Iterator[Broken]:
+def _something_counts(**protocol: Any) -> Iterator[Broken]:
     tests, settle = ("stand", "walk", "height", "terrain", "strip", "robust"), protocol["settle_s"]
     lengths = {f"{test}.horizon_s": protocol[test]["horizon_s"] for test in tests if protocol[test] is not None}
     if (steps := protocol["steps"]) is not None:
@@ -248,11 +248,11 @@ class Terrain:
     scene: Parameters
 
 
-def _room_behind(strip: Mapping[str, Any]) -> Iterator[Broken]:
-    way, there = strip["lin_vel_x"] * strip["horizon_s"], strip["before"] + strip["length"]
+def _room_behind(lin_vel_x: float, horizon_s: float, before: float, length: float) -> Iterator[Broken]:
+    way, there = lin_vel_x * horizon_s, before + length
     if way <= there:
-        message = f"in {strip['horizon_s']:g} s the commanded distance, {way:g} m, does not reach beyond the strip"
-        yield Broken("horizon_s", message, f"more than {there / strip['lin_vel_x']:g} s")
+        message = f"in {horizon_s:g} s the commanded distance, {way:g} m, does not reach beyond the strip"
+        yield Broken("horizon_s", message, f"more than {there / lin_vel_x:g} s")
 
 
 @relation(_room_behind)
@@ -305,9 +305,12 @@ PROPERTIES = (
 _WITH_MARGIN = tuple(name for name in PROPERTIES if name not in ("friction", "mass", "gains"))
 
 
-def _changes_are_known(robust: Mapping[str, Any]) -> Iterator[Broken]:
-    for key, known in (("combined", PROPERTIES), ("margins", _WITH_MARGIN)):
-        for name, value in (robust[key] or {}).items():
+def _changes_are_known(
+    combined: dict[str, float] | None, margins: dict[str, float] | None, kick: list[float], horizon_s: float
+) -> Iterator[Broken]:
+    changes, tried = combined or {}, margins or {}
+    for key, given, known in (("combined", changes, PROPERTIES), ("margins", tried, _WITH_MARGIN)):
+        for name, value in given.items():
             annotation = typing.get_type_hints(Robust, include_extras=True).get(name, Any)
             if name not in known:
                 nearest = nearest_name(name, known)
@@ -315,11 +318,10 @@ def _changes_are_known(robust: Mapping[str, Any]) -> Iterator[Broken]:
                 yield Broken(f"{key}.{name}", f"there is no such change{hint}", "one of " + ", ".join(known))
             elif value_errors(name, [value], annotation):
                 yield Broken(f"{key}.{name}", f"{value} is out of range", f"a value that robust.{name} accepts")
-    if {"mass", "payload"} <= {*(robust["combined"] or {})}:
+    if {"mass", "payload"} <= changes.keys():
         yield Broken("combined.payload", "a payload would replace the change of mass", "one of mass, payload")
-    kicks = robust["kick"] or "kick" in {**(robust["combined"] or {}), **(robust["margins"] or {})}
-    if kicks and robust["horizon_s"] < KICK_S + AFTER_KICK_S:
-        message = f"an episode of {robust['horizon_s']:g} s ends too early after the kick at {KICK_S:g} s"
+    if (kick or "kick" in changes or "kick" in tried) and horizon_s < KICK_S + AFTER_KICK_S:
+        message = f"an episode of {horizon_s:g} s ends too early after the kick at {KICK_S:g} s"
         yield Broken("horizon_s", message, f"at least {KICK_S + AFTER_KICK_S:g} s, or no kick")
 
 

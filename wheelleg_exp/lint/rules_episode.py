@@ -276,7 +276,7 @@ def world_height(case: Case) -> Iterator[Finding]:
     terms = [term for term in found if term.node.get("sensor_cfg") is None]
     if terms and "sub_terrains" in terrain:
         (made := build(terrain, "env.scene.terrain")).place(1, 1.0, torch.device("cpu"), torch.Generator)
-        depth = -min(float(tile.heights.min()) for tile in made.relief.tiles)
+        depth = -min(float(tile.heights.min()) for tile in made.tiles)
     for term in terms if depth > _HEIGHT * abs(case.facts.standing_height) else ():
         message = f"the height counts from z = 0, and the ground of the tiles is up to {1e3 * depth:.3g} mm lower"
         hint = "root_height_over_ground_below_minimum, base_height_over_ground_l2, or base_height"

@@ -7,7 +7,6 @@ The field ``delay`` of an action term delays the term's targets by a number of p
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 
@@ -15,7 +14,7 @@ from wheelleg_exp.constraints import Bounds, Names, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import ActionTerm, Env, member
 from wheelleg_exp.sim.ids import narrowed
-from wheelleg_exp.sim.names import match_names, valueless_errors, values_by_name
+from wheelleg_exp.sim.names import valueless_errors, values_by_name
 
 
 class JointTerm(ActionTerm):
@@ -39,9 +38,7 @@ class JointTerm(ActionTerm):
         width: int | None = None,
     ) -> None:
         self._robot = member(env.scene, asset_name, "asset_name")
-        names = [joint_names] if isinstance(joint_names, str) else list(joint_names)
-        order: dict[str, Any] = {"key": "joint_names", "what": "joint", "preserve_order": preserve_order}
-        indices, self.joint_names = match_names(names, self._robot.joint_names, **order)
+        indices, self.joint_names = self._robot.find_joints(joint_names, None, preserve_order, key="joint_names")
         self.action_dim = len(indices) if width is None else width
         self._ids = narrowed(indices, env.device)
         bounds = None if clip is None else self._spread(clip, (-torch.inf, torch.inf), "clip")
@@ -57,14 +54,14 @@ class JointTerm(ActionTerm):
         """Set the raw actions of ``env_ids`` to zero; as in Isaac Lab, the processed actions do not change."""
         self.reset_rows(env_ids)
 
-    def _set_targets(self) -> None:
+    def apply_actions(self) -> None:
         getattr(self._robot, f"set_joint_{self.drives}_target")(self.processed_actions, self._ids)
 
     def _clip(self) -> None:
         if self._low is not None:
             torch.clamp(self.processed_actions, self._low, self._high, out=self.processed_actions)
 
-    def _spread(self, values: Any, default: Any, name: str) -> torch.Tensor:
+    def _spread(self, values: float | Mapping[str, object], default: object, name: str) -> torch.Tensor:
         spread = values_by_name(values, self.joint_names, default, key=name, what="joint")
         return torch.tensor(spread, dtype=torch.float32, device=self._robot.device)
 
@@ -138,7 +135,6 @@ class JointPositionAction(_DefaultOffsetAction):
     """
 
     drives = "position"
-    apply_actions = JointTerm._set_targets
 
 
 class RelativeJointPositionAction(JointAction):
@@ -183,7 +179,6 @@ class JointVelocityAction(_DefaultOffsetAction):
     """
 
     drives = "velocity"
-    apply_actions = JointTerm._set_targets
 
 
 class JointEffortAction(JointAction):
@@ -196,7 +191,6 @@ class JointEffortAction(JointAction):
     """
 
     drives = "effort"
-    apply_actions = JointTerm._set_targets
 
 
 class JointPositionToLimitsAction(JointTerm):
@@ -211,7 +205,6 @@ class JointPositionToLimitsAction(JointTerm):
     """
 
     drives = "position"
-    apply_actions = JointTerm._set_targets
 
     def __init__(
         self,
@@ -302,8 +295,11 @@ class BinaryJointAction(JointTerm):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, joint_names, clip, preserve_order, asset_name, width=1)
-        self._open = self._command(open_command_expr, "open_command_expr")
-        self._close = self._command(close_command_expr, "close_command_expr")
+        for name, values in (("open_command_expr", open_command_expr), ("close_command_expr", close_command_expr)):
+            for error in valueless_errors(values, self.joint_names, name):
+                raise error
+        self._open = self._spread(open_command_expr, 0.0, "open_command_expr")
+        self._close = self._spread(close_command_expr, 0.0, "close_command_expr")
 
     def process_actions(self, actions: torch.Tensor) -> None:
         self.raw_actions.copy_(actions)
@@ -314,24 +310,17 @@ class BinaryJointAction(JointTerm):
         """Return a mask (N, 1) that is True where the raw action (N, 1) selects ``open_command_expr``."""
         return ~(actions < 0.0)
 
-    def _command(self, values: Mapping[str, float], key: str) -> torch.Tensor:
-        for error in valueless_errors(values, self.joint_names, key):
-            raise error
-        return self._spread(values, 0.0, key)
-
 
 class BinaryJointPositionAction(BinaryJointAction):
     """One of two position targets, rad: the joints close if the action is below 0, otherwise they open."""
 
     drives = "position"
-    apply_actions = JointTerm._set_targets
 
 
 class BinaryJointVelocityAction(BinaryJointAction):
     """One of two velocity targets, rad/s: the joints close if the action is below 0, otherwise they open."""
 
     drives = "velocity"
-    apply_actions = JointTerm._set_targets
 
 
 class AbsBinaryJointPositionAction(BinaryJointPositionAction):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar
 
 import torch
@@ -87,13 +87,13 @@ class modify_env_param(TermBase):
         self,
         env: Env,
         address: str,
-        modify_fn: str | Callable[..., Any],
-        modify_params: Mapping[str, Any] | None = None,
+        modify_fn: str | Callable[..., object],
+        modify_params: Mapping[str, object] | None = None,
     ) -> None:
         self._env = env
         self._parts = self.parts_of(address)
         self._params = dict(modify_params or {})
-        self._modify: Any = resolve_target(modify_fn, "modify_fn") if isinstance(modify_fn, str) else modify_fn
+        self._modify = resolve_target(modify_fn, "modify_fn") if isinstance(modify_fn, str) else modify_fn
         if not callable(self._modify):
             message = f"{modify_fn!r} cannot be called"
             raise ConfigError(message, key="modify_fn", expected="the dotted name of a function")
@@ -123,12 +123,12 @@ class modify_env_param(TermBase):
         present = look_up(env, self._parts)
         return float(present) if isinstance(present, (int, float)) else None
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         saves = self._has_written and not self._is_saved
         self._value = copy.deepcopy(look_up(self._env, self._parts)) if saves else None
         return super().state_dict()
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         if not self._is_saved:
             write(self._env, self._parts, copy.deepcopy(self._value if self._has_written else self._first))
@@ -175,16 +175,16 @@ def terrain_levels_vel(
     return terrain.terrain_levels.float().mean()
 
 
-def _ranges(env: Env, command_name: str) -> dict[str, Any]:
+def _ranges(env: Env, command_name: str) -> dict[str, list[float]]:
     """Return the ranges [low, high] of a command by axis; the result is empty if the command has no ranges."""
-    ranges: dict[str, Any] = getattr(env.command_manager.get_term(command_name), "ranges", {})
+    ranges: dict[str, list[float]] = getattr(env.command_manager.get_term(command_name), "ranges", {})
     return ranges
 
 
 _Limits = dict[str, tuple[float, float]]
 
 
-def _range_errors(command_name: str, ranges: Mapping[str, Any], limits: _Limits) -> Iterator[ConfigError]:
+def _range_errors(command_name: str, ranges: Mapping[str, Sequence[float]], limits: _Limits) -> Iterator[ConfigError]:
     """Yield an error for each axis whose command range is missing, or is not inside the range in ``limits``."""
     for axis, (lowest, highest) in limits.items():
         key, pair = f"limit_ranges.{axis}", ranges.get(axis)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
@@ -32,9 +32,9 @@ class ConstantNoise:
         return _apply(value, self.bias, self.operation)
 
 
-def _ordered(given: Mapping[str, Any]) -> Iterator[Broken]:
-    if given["n_min"] > given["n_max"]:
-        yield Broken("n_max", f"{given['n_max']!r} is below n_min", f"at least {given['n_min']!r}")
+def _ordered(n_min: float, n_max: float) -> Iterator[Broken]:
+    if n_min > n_max:
+        yield Broken("n_max", f"{n_max!r} is below n_min", f"at least {n_min!r}")
 
 
 @relation(_ordered)
@@ -67,8 +67,8 @@ class GaussianNoise:
 Noise = ConstantNoise | UniformNoise | GaussianNoise
 
 
-def _bias_does_not_add_up(given: Mapping[str, Any]) -> Iterator[Broken]:
-    operation = given["bias_noise_cfg"].get("operation", "add")
+def _bias_does_not_add_up(bias_noise_cfg: Mapping[str, object]) -> Iterator[Broken]:
+    operation = bias_noise_cfg.get("operation", "add")
     if operation != "abs":
         message = f"the bias noise has operation '{operation}'"
         yield Broken("bias_noise_cfg.operation", message, "abs, because the bias would accumulate over resets")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
 from wheelleg_exp.managers import Env
+from wheelleg_exp.sim.articulation_data import ArticulationData
 
 
 def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
@@ -36,7 +35,7 @@ def resting_side(projected_gravity: torch.Tensor) -> torch.Tensor:
     return torch.stack((-z, z, x, -x, y, -y)).argmax(dim=0)
 
 
-def level_velocity(data: Any) -> tuple[torch.Tensor, torch.Tensor]:
+def level_velocity(data: ArticulationData) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the forward and leftward velocity of the root's centre of mass in horizontal axes, m/s, (N,) each."""
     velocity, yaw = data.root_lin_vel_w, data.heading_w
     cos, sin = torch.cos(yaw), torch.sin(yaw)

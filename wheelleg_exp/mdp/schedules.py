@@ -17,7 +17,7 @@ from wheelleg_exp.managers import Env
 from wheelleg_exp.mdp.curriculums import modify_env_param
 
 
-def override_value(env: Env, env_ids: torch.Tensor, old_value: Any, value: Any, num_steps: Natural) -> Any:
+def override_value(env: Env, env_ids: torch.Tensor, old_value: object, value: object, num_steps: Natural) -> object:
     """Return ``value`` after ``num_steps`` control steps of training, and ``NO_CHANGE`` until then."""
     del env_ids, old_value
     return value if env.common_step_counter > num_steps else modify_env_param.NO_CHANGE

@@ -142,7 +142,7 @@ class BatchEngine(Engine):
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(

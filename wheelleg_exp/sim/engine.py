@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import mujoco
 import torch
@@ -58,7 +58,7 @@ class Engine(Stateful, ABC):
         field = torch.from_numpy(getattr(self.model, name).copy())
         return field.to(self.device, self.dtype if field.is_floating_point() else None)
 
-    def promise(self) -> dict[str, Any]:
+    def promise(self) -> dict[str, object]:
         """Return the engine's entry in a run's manifest: name, version, device, and whether it is bit-reproducible."""
         version = mujoco.mj_versionString()
         return {"name": self.name, "version": version, "device": str(self.device), "exact": self.exact}
@@ -154,23 +154,15 @@ class Engine(Stateful, ABC):
         """
         del geom_group, alone
 
-    @abstractmethod
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state of all simulations that determines the next physics step."""
-
-    @abstractmethod
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-
 
 def start_engine(model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions) -> Engine:
     """Start the engine that ``env.sim.engine`` selects.
 
     Its module is imported only now, because it can import large optional packages.
     """
-    key, arguments = "env.sim.engine", {} if isinstance(sim.engine, str) else {**sim.engine}
-    arguments.pop(TARGET, None)
-    kind: Any = resolve_target(engine_kind(sim.engine).target, key)
+    key, node = "env.sim.engine", {} if isinstance(sim.engine, str) else sim.engine
+    arguments = {name: value for name, value in node.items() if name != TARGET}
+    kind = resolve_target(engine_kind(sim.engine).target, key)
     if not (isinstance(kind, type) and issubclass(kind, Engine)):
         raise ConfigError(f"'{kind.__name__}' is not an Engine", key=key, expected="a _target_ of Engine")
     return kind.from_config(model, num_envs, sim, robot, **arguments)

@@ -6,9 +6,12 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from re import _parser  # type: ignore[attr-defined]
-from typing import Any
+from typing import TypeVar
 
 from wheelleg_exp.errors import ConfigError, nearest_name
+
+T = TypeVar("T")
+D = TypeVar("D")
 
 
 def match_names(
@@ -46,8 +49,8 @@ def match_names(
 
 
 def values_by_name(
-    values: float | int | Mapping[str, Any], names: Sequence[str], default: Any, *, key: str, what: str
-) -> list[Any]:
+    values: float | Mapping[str, T], names: Sequence[str], default: D, *, key: str, what: str
+) -> list[float | T | D]:
     """Return one value for each name, given one number or a mapping from regular expressions to values.
 
     A name that no regular expression matches gets the value ``default``. Raise ConfigError if a regular expression is
@@ -55,7 +58,7 @@ def values_by_name(
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
-    spread = [default] * len(names)
+    spread: list[float | T | D] = [default] * len(names)
     match_names(list(values), names, key=key, what=what)
     for pattern, value in values.items():
         for index in match_names(pattern, names, key=key, what=what)[0]:
@@ -63,7 +66,7 @@ def values_by_name(
     return spread
 
 
-def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[ConfigError]:
+def valueless_errors(values: object, names: Sequence[str], key: str) -> list[ConfigError]:
     """Return an error if a mapping from regular expressions to values leaves joints without a value."""
     if not isinstance(values, Mapping):
         return []
@@ -73,7 +76,7 @@ def valueless_errors(values: Any, names: Sequence[str], key: str) -> list[Config
     return [ConfigError(message, key=key, expected="one value for each joint")] if missing else []
 
 
-def order_errors(order: Sequence[Any], joints: Sequence[str]) -> list[ConfigError]:
+def order_errors(order: Sequence[object], joints: Sequence[str]) -> list[ConfigError]:
     """Check that ``env.robot.joint_order`` lists each of the robot's joints once; return the errors."""
     key, expected = "env.robot.joint_order", "each of " + ", ".join(joints) + " once"
     unknown = [(f"the robot has no joint '{n}'", nearest_name(str(n), joints)) for n in order if n not in joints]
@@ -123,7 +126,7 @@ def compiled(pattern: str, names: Iterable[str], key: str | None = None) -> re.P
     return found
 
 
-def _ways(pattern: Any, longest: int) -> float:
+def _ways(pattern: _parser.SubPattern, longest: int) -> float:
     """Return an upper bound of the ways in which a parsed regular expression matches ``longest`` letters."""
     ways = 1.0
     for kind, value in pattern:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Broken, Count, Length, Natural, Node, NotAllZero, Positive, Terms, relation
@@ -73,27 +73,25 @@ def engine_kind(engine: str | Node) -> EngineKind:
     return next((kind for kind in ENGINES.values() if kind.target == target), own)
 
 
-def engine_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check that the physics engine supports the device and the solver, and that the packages of the engine exist."""
-    device, kind = str(given["device"]), engine_kind(given["engine"])
-    name = given["engine"] if isinstance(given["engine"], str) else kind.target
+def _engine_fits(engine: str | Node, device: str, solver: str, deterministic: bool) -> Iterator[Broken]:
+    kind = engine_kind(engine)
+    name = engine if isinstance(engine, str) else kind.target
     if not re.fullmatch(kind.devices, device):
         if kind.devices == "cpu":
             yield Broken("device", f"the engine '{name}' runs on the CPU, not on {device!r}", "cpu, or engine: warp")
         else:
             yield Broken("device", f"{device!r} is not a device of the engine '{name}'", "cpu, or cuda:0 and so on")
-    if given.get("deterministic") and not re.fullmatch(kind.exact_devices, device):
+    if deterministic and not re.fullmatch(kind.exact_devices, device):
         expected = "false, or engine: mujoco, which is bit-reproducible (docs/reproducibility.md)"
         yield Broken("deterministic", f"the engine '{name}' {kind.inexact}", expected)
-    if given["solver"] not in kind.solvers:
-        message = f"the engine '{name}' has no solver '{given['solver']}'"
-        yield Broken("solver", message, " or ".join(kind.solvers))
+    if solver not in kind.solvers:
+        yield Broken("solver", f"the engine '{name}' has no solver '{solver}'", " or ".join(kind.solvers))
     if missing := [package for package in kind.packages if find_spec(package) is None]:
         message = f"the engine '{name}' needs the package {missing[0]}, which is not installed"
         yield Broken("engine", message, f"mujoco, or: {kind.install}")
 
 
-@relation(engine_fits)
+@relation(_engine_fits)
 @dataclass(frozen=True)
 class SimOptions:
     """Options of the physics engine and the solver (``env.sim``); the solver options have MuJoCo's names.

@@ -141,7 +141,7 @@ class Scene(Stateful):
         return {"robot": self.robot}
 
     @property
-    def rigid_objects(self) -> dict[str, Any]:
+    def rigid_objects(self) -> dict[str, object]:
         """An empty dictionary of rigid objects, because the robot is the only moving body of the scene."""
         return {}
 
@@ -267,7 +267,7 @@ class Scene(Stateful):
                 with blamed(sensor.key, sensor, has_worked=True):
                     sensor.refresh(ids)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         return {"sim": self.sim.state_dict(), **super().state_dict()}
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:

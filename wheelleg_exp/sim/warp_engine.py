@@ -176,7 +176,7 @@ class WarpEngine(Engine):
     def may_differ(self, name: str) -> bool:
         return self._fields.may_differ(name)
 
-    def promise(self) -> dict[str, Any]:
+    def promise(self) -> dict[str, object]:
         found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
         return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
 
@@ -297,7 +297,7 @@ class WarpEngine(Engine):
             self._mjw.kinematics(self._m, self._d)
         self._still.add(geom_group)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         return {
             "state": {name: value.clone() for name, value in self._state.items()},
             "model_fields": {name: value.clone() for name, value in sorted(self._fields.own.items())},

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
-from wheelleg_exp.constraints import Natural, Node, NonNegative, NonNegativeInterval, Share, Terms, rules_of
+from wheelleg_exp.constraints import Natural, Node, NonNegative, NonNegativeInterval, Share, Terms, broken_rules
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.terms.config_values import describe, options_in, value_errors
 from wheelleg_exp.terms.key_syntax import below
@@ -138,8 +138,10 @@ def section_errors(path: str, node: Mapping[str, object], options: type) -> list
     if errors:
         return errors
     given = {f.name: f.default for f in dataclasses.fields(options)} | dict(node)
-    broken = (found for rule in rules_of(options) for found in rule(given))
-    return [ConfigError(b.message, key=".".join(filter(None, (path, b.key))), expected=b.expected) for b in broken]
+    return [
+        ConfigError(broken.message, key=".".join(filter(None, (path, broken.key))), expected=broken.expected)
+        for broken in broken_rules(options, given)
+    ]
 
 
 def _value_errors(key: str, value: object, annotation: object) -> list[ConfigError]:

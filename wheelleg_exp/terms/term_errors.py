@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from wheelleg_exp.constraints import rules_of
+from wheelleg_exp.constraints import broken_rules
 from wheelleg_exp.errors import ConfigError, SimulationFailure, WheellegError, nearest_name
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms import term_binding as binding
@@ -60,7 +60,7 @@ def parameter_errors(section: str, term: binding.TermNode, target: Callable[...,
             wrong += value_errors(below(term.path, name), value, hints[name])
     given = {name: term.params.get(name, parameter.default) for name, parameter in accepted.items()}
     if not wrong and all(value is not inspect.Parameter.empty for value in given.values()):
-        broken = (found for rule in rules_of(target) for found in rule(given))
+        broken = broken_rules(target, given)
         wrong = [ConfigError(b.message, key=f"{term.path}.{b.key}", expected=b.expected) for b in broken]
     return errors + wrong
 

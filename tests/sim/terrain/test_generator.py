@@ -52,19 +52,19 @@ def everything():
 
 def test_columns_are_shared_out_by_proportion_and_rows_grow_harder():
     kinds = {"a": Flat(proportion=0.4), "b": noise(proportion=0.6), "c": stairs(proportion=1.0)}
-    relief = placed(kinds, num_cols=10, num_rows=5, difficulty_range=[0.2, 0.7]).relief
-    assert relief.kinds.tolist() == [[0, 0, 1, 1, 1, 2, 2, 2, 2, 2]] * 5
+    ground = placed(kinds, num_cols=10, num_rows=5, difficulty_range=[0.2, 0.7])
+    assert ground.kinds.tolist() == [[0, 0, 1, 1, 1, 2, 2, 2, 2, 2]] * 5
     low = 0.2 + 0.1 * np.arange(5)[:, None]
-    assert ((relief.difficulties >= low) & (relief.difficulties < low + 0.1)).all()
-    assert np.ptp(relief.difficulties, axis=1).min() > 0
+    assert ((ground.difficulties >= low) & (ground.difficulties < low + 0.1)).all()
+    assert np.ptp(ground.difficulties, axis=1).min() > 0
 
 
 def test_without_a_curriculum_kind_and_difficulty_are_drawn():
     kinds = {"a": Flat(proportion=1), "b": noise(proportion=3)}
-    relief = placed(kinds, num_cols=30, num_rows=30, curriculum=False, difficulty_range=[0.5, 1.0]).relief
-    assert relief.kinds.mean() == pytest.approx(0.75, abs=0.05)
-    assert 0.5 <= relief.difficulties.min() < 0.51 < 0.74 < relief.difficulties.mean() < 0.76
-    assert abs(np.corrcoef(relief.difficulties.ravel(), np.repeat(range(30), 30))[0, 1]) < 0.1
+    ground = placed(kinds, num_cols=30, num_rows=30, curriculum=False, difficulty_range=[0.5, 1.0])
+    assert ground.kinds.mean() == pytest.approx(0.75, abs=0.05)
+    assert 0.5 <= ground.difficulties.min() < 0.51 < 0.74 < ground.difficulties.mean() < 0.76
+    assert abs(np.corrcoef(ground.difficulties.ravel(), np.repeat(range(30), 30))[0, 1]) < 0.1
 
 
 def test_rows_go_along_x_and_columns_along_y_around_the_origin():
@@ -97,7 +97,7 @@ def test_the_ground_has_height_0_at_nan_and_inf():
 
 def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
     ground = placed({"stairs": stairs(), "noise": noise()}, num_rows=10, num_cols=2, horizontal_scale=0.02)
-    hard = ground.relief.difficulties
+    hard = ground.difficulties
     x, y = torch.meshgrid(torch.linspace(-0.99, 0.99, 200), torch.linspace(-0.49, 0.49, 100), indexing="ij")
     heights = ground.height_at(torch.stack((x, y), dim=-1) + ground.terrain_origins[:, :, None, None, :2]).numpy()
     top = heights[:, 0].max(axis=(1, 2))
@@ -128,7 +128,7 @@ def test_the_border_surrounds_the_tiles_at_height_zero():
 
 
 def digest() -> str:
-    return hashlib.sha256(b"".join(tile.heights.tobytes() for tile in placed(everything()).relief.tiles)).hexdigest()
+    return hashlib.sha256(b"".join(tile.heights.tobytes() for tile in placed(everything()).tiles)).hexdigest()
 
 
 def test_one_seed_gives_one_ground_in_any_process():
@@ -141,10 +141,10 @@ def test_one_seed_gives_one_ground_in_any_process():
 
 
 def test_the_runs_seed_makes_the_ground_unless_it_has_its_own():
-    first, second, third = (placed({"n": noise()}, run_seed=s).relief.tiles[5].heights for s in (1, 2, 1))
+    first, second, third = (placed({"n": noise()}, run_seed=s).tiles[5].heights for s in (1, 2, 1))
     assert np.array_equal(first, third)
     assert not np.array_equal(first, second)
-    fixed = [placed({"n": noise()}, run_seed=s, seed=7).relief for s in (1, 2)]
+    fixed = [placed({"n": noise()}, run_seed=s, seed=7) for s in (1, 2)]
     assert np.array_equal(fixed[0].tiles[5].heights, fixed[1].tiles[5].heights)
     assert np.array_equal(fixed[0].difficulties, fixed[1].difficulties)
 

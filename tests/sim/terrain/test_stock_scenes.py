@@ -23,8 +23,8 @@ def tiles(ground: TerrainGenerator, pixels: int = 241) -> np.ndarray:
 
 def test_the_hardest_row_of_rough_ground_is_what_a_wheel_can_just_roll_over():
     ground = made("rough")
-    heights, names = tiles(ground), list(ground.layout.sub_terrains)
-    columns = {name: np.flatnonzero(ground.relief.kinds[0] == k) for k, name in enumerate(names)}
+    heights, names = tiles(ground), list(ground.sub_terrains)
+    columns = {name: np.flatnonzero(ground.kinds[0] == k) for k, name in enumerate(names)}
     assert {name: len(found) for name, found in columns.items()} == {
         "rough": 3,
         **dict.fromkeys(("slope", "slope_inverted", "stairs", "stairs_inverted", "grid", "waves", "obstacles"), 1),
@@ -36,12 +36,12 @@ def test_the_hardest_row_of_rough_ground_is_what_a_wheel_can_just_roll_over():
         found = np.abs(heights[9][columns[name]]).max()
         assert 0.7 * highest < found <= highest + 1e-6
     rise = np.abs(np.diff(heights[9, columns["slope"][0]], axis=0)).max() / (1.198 / 240)
-    assert np.arctan(rise) == pytest.approx(0.26 * ground.relief.difficulties[9, columns["slope"][0]], abs=3e-3)
+    assert np.arctan(rise) == pytest.approx(0.26 * ground.difficulties[9, columns["slope"][0]], abs=3e-3)
 
 
 def test_stairs_have_four_steps_of_the_rows_difficulty():
     ground = made("stairs")
-    heights, hard = tiles(ground), ground.relief.difficulties
+    heights, hard = tiles(ground), ground.difficulties
     step = 0.001 + 0.007 * hard
     assert heights[:, 0].max(axis=(1, 2)) == pytest.approx(4 * step[:, 0], abs=3e-4)
     assert heights[:, 1].min(axis=(1, 2)) == pytest.approx(-4 * step[:, 1], abs=3e-4)

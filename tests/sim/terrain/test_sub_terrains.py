@@ -97,7 +97,7 @@ PARTS = {  # The values are a sub-terrain's class, its options, and the standard
 def inner_heights(part: SubTerrain, scale: float, rim: float, seed: int) -> np.ndarray:
     part.horizontal_scale, part.border_width = scale, rim
     ground = placed({"part": part}, size=[12.0, 12.0], num_rows=1, num_cols=1, difficulty_range=[1.0, 1.0], seed=seed)
-    heights = ground.relief.tiles[0].heights.astype(float)
+    heights = ground.tiles[0].heights.astype(float)
     n = len(heights)
     inside = np.abs((np.arange(n) + 0.5) * 12 / n - 6 if part.boxes else np.linspace(-6, 6, n)) <= 6 - rim + 1e-9
     return heights[np.ix_(inside, inside)]

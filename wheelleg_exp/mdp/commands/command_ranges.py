@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import torch
 
 from wheelleg_exp.managers import CommandTerm, Env, bounds
 
+AxisT = TypeVar("AxisT", bound=str)
+
 
 class _Ranges:
     """A command's ranges as attributes, because terms written for Isaac Lab read ``command.cfg.ranges.lin_vel_x``."""
 
-    def __init__(self, ranges: dict[str, Any]) -> None:
+    def __init__(self, ranges: dict[str, list[float]]) -> None:
         vars(self)["_ranges"] = ranges
 
     def __getattr__(self, axis: str) -> tuple[float, float] | None:
@@ -47,18 +49,18 @@ class RangedCommand(CommandTerm):
         ranges: [low, high] by axis; a range that is set applies from the next draw.
     """
 
-    ranges: dict[str, Any]
-    limit_ranges: dict[str, Any] = {}  # noqa: RUF012
+    ranges: dict[str, list[float]]
+    limit_ranges: dict[str, list[float]] = {}  # noqa: RUF012
 
     @property
     def cfg(self) -> CommandSettings:
         """Settings of the command under their names in Isaac Lab; the attributes of ``cfg.ranges`` can be set."""
         return CommandSettings(_Ranges(self.ranges), self._time_range, _Ranges(self.limit_ranges))
 
-    def take_ranges(self, ranges: Mapping[Any, Sequence[float] | None], axes: Sequence[str]) -> None:
+    def take_ranges(self, ranges: Mapping[AxisT, Sequence[float] | None], axes: Sequence[AxisT]) -> None:
         """Store the ranges [low, high] of the command's axes; an axis without a range gets the value 0."""
         self._axes = tuple(axes)
-        present = {axis: list(pair) for axis, pair in ranges.items() if pair is not None}
+        present = {str(axis): list(pair) for axis, pair in ranges.items() if pair is not None}
         self.ranges = self.setting("ranges", present)
         with torch.inference_mode(False):  # Tensors made in inference mode cannot be changed in place.
             self._bounds = self.number("_bounds", self._present(), saved=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 
@@ -19,8 +19,8 @@ _Place = Literal["pos_x", "pos_y", "heading"]
 _Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
 
 
-def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
-    if not given["simple_heading"] and given["ranges"].get("heading") is None:
+def _heading_has_a_range(simple_heading: bool, ranges: Mapping[str, object]) -> Iterator[Broken]:
+    if not simple_heading and ranges.get("heading") is None:
         yield Broken("ranges.heading", "the range is missing", "[low, high] in radians, or simple_heading: true")
 
 
@@ -209,8 +209,8 @@ class UniformPoseCommand(RangedCommand):
 _Axis = Literal["height", "roll", "pitch"]
 
 
-def _height_is_given(given: Mapping[str, Any]) -> Iterator[Broken]:
-    if "height" not in given["ranges"]:
+def _height_is_given(ranges: Mapping[str, object]) -> Iterator[Broken]:
+    if "height" not in ranges:
         yield Broken("ranges.height", "the range is missing", "[low, high] in metres above the ground")
 
 
@@ -261,9 +261,9 @@ class UniformBasePoseCommand(RangedCommand):
         self._command[env_ids] = low + (high - low) * u
 
 
-def _window_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    shortest = given["resampling_time_range"][0]
-    if given["window_s"] >= shortest:
+def _window_fits(window_s: float, resampling_time_range: PositiveInterval) -> Iterator[Broken]:
+    shortest = resampling_time_range[0]
+    if window_s >= shortest:
         yield Broken("window_s", "the robot would have to jump all the time", f"less than {shortest:g} s")
 
 

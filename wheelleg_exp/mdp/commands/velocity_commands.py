@@ -20,8 +20,8 @@ from wheelleg_exp.sim.rotation import wrap_to_pi
 VelocityAxis = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"]
 
 
-def _heading_has_a_range(given: Mapping[str, Any]) -> Iterator[Broken]:
-    if given.get("heading_command") and given["ranges"].get("heading") is None:
+def _heading_has_a_range(ranges: Mapping[str, object], heading_command: bool = False) -> Iterator[Broken]:
+    if heading_command and ranges.get("heading") is None:
         yield Broken("ranges.heading", "heading_command needs a heading range", "[low, high] in radians")
 
 
@@ -63,8 +63,8 @@ class UniformVelocityCommand(RangedCommand):
         if ranges.get("heading") is not None and not heading_command:
             warnings.warn("a heading range is given, but heading_command is off", stacklevel=2)
         self.take_ranges(ranges, get_args(VelocityAxis))
-        limits = {axis: list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
-        self.limit_ranges = self.setting("limit_ranges", {str(axis): pair for axis, pair in limits.items()})
+        limits = {str(axis): list(pair) for axis, pair in (limit_ranges or {}).items() if pair is not None}
+        self.limit_ranges = self.setting("limit_ranges", limits)
         self._has_heading = heading_command
         self._rel_standing, self._rel_heading = rel_standing_envs, rel_heading_envs
         self._stiffness = heading_control_stiffness
@@ -119,8 +119,7 @@ _Moment = Literal["mean_vel", "std_vel", "zero_prob"]
 _Three = Annotated[Sequence[float], Length(3)]
 
 
-def _is_a_distribution(given: Mapping[str, Any]) -> Iterator[Broken]:
-    ranges = given["ranges"]
+def _is_a_distribution(ranges: Mapping[str, _Three]) -> Iterator[Broken]:
     for name in get_args(_Moment):
         if name not in ranges:
             yield Broken(f"ranges.{name}", "the moment is missing", "three numbers: v_x, v_y, w_z")

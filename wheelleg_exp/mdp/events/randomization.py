@@ -61,20 +61,16 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
     return None if fits else form + (least and f", {least}")
 
 
-def ranges(
-    above_0: Sequence[str] = (), at_least_0: Sequence[str] = (), free: Sequence[str] = ()
-) -> Callable[[Mapping[str, Any]], Iterator[Broken]]:
-    """Return a function that checks the ranges of an event, such as low <= high, and yields errors.
+def ranges(**limits: str) -> Callable[..., Iterator[Broken]]:
+    """Return a rule about the ranges of an event, such as low <= high.
 
-    With the operation ``scale``, factors must be above 0 in ranges named in ``above_0``, and at least 0 in ranges named
-    in ``at_least_0``. Factors may be negative in ranges named in ``free``.
+    ``limits`` maps the parameters that are ranges to the lower limits of scale factors, as in ``pair_error``.
     """
-    bounds = dict.fromkeys(above_0, "above 0") | dict.fromkeys(at_least_0, "at least 0") | dict.fromkeys(free, "")
 
-    def rule(given: Mapping[str, Any]) -> Iterator[Broken]:
-        for name, least in bounds.items():
+    def rule(operation: Operation, distribution: Distribution, **given: Any) -> Iterator[Broken]:
+        for name, least in limits.items():
             pair = given[name]
-            if pair and (expected := pair_error(pair, given["operation"], given["distribution"], least)):
+            if pair and (expected := pair_error(pair, operation, distribution, least)):
                 yield Broken(name, f"{pair!r} is out of range", expected)
 
     return rule
@@ -135,11 +131,12 @@ class randomize_rigid_body_material(TermBase):
         env.scene.sim.expand("geom_friction")[ids.unsqueeze(1), self._geom_ids, 0] = effective.to(env.scene.sim.dtype)
 
 
-def _masses_are_masses(given: Mapping[str, Any]) -> Iterator[Broken]:
-    pair, operation = given["mass_distribution_params"], given["operation"]
+def _masses_are_masses(
+    mass_distribution_params: Pair, operation: Operation, distribution: Distribution
+) -> Iterator[Broken]:
     operation = "scale" if operation == "abs" else operation
-    if expected := pair_error(pair, operation, given["distribution"], "above 0"):
-        yield Broken("mass_distribution_params", f"{pair!r} is out of range", expected)
+    if expected := pair_error(mass_distribution_params, operation, distribution, "above 0"):
+        yield Broken("mass_distribution_params", f"{mass_distribution_params!r} is out of range", expected)
 
 
 @relation(_masses_are_masses)
@@ -173,7 +170,7 @@ def randomize_rigid_body_mass(
     robot.mark_written(chosen)
 
 
-@relation(ranges(above_0=["inertia_distribution_params"]))
+@relation(ranges(inertia_distribution_params="above 0"))
 def randomize_rigid_body_inertia(
     env: Env,
     env_ids: torch.Tensor | None,
@@ -228,7 +225,7 @@ def randomize_rigid_body_com_cumulative(
 randomize_rigid_body_com = randomize_rigid_body_com_cumulative
 
 
-@relation(ranges(above_0=["stiffness_distribution_params"], at_least_0=["damping_distribution_params"]))
+@relation(ranges(stiffness_distribution_params="above 0", damping_distribution_params="at least 0"))
 def randomize_actuator_gains(
     env: Env,
     env_ids: torch.Tensor | None,
@@ -257,8 +254,10 @@ def randomize_actuator_gains(
 
 @relation(
     ranges(
-        at_least_0=["friction_distribution_params", "armature_distribution_params"],
-        free=["lower_limit_distribution_params", "upper_limit_distribution_params"],
+        friction_distribution_params="at least 0",
+        armature_distribution_params="at least 0",
+        lower_limit_distribution_params="",
+        upper_limit_distribution_params="",
     )
 )
 class randomize_joint_parameters(TermBase):
@@ -391,7 +390,7 @@ class randomize_imu_errors(TermBase):
         self._robot.write_imu_errors(tilt, bias, ids)
 
 
-@relation(ranges(above_0=["effort_limit_distribution_params"]))
+@relation(ranges(effort_limit_distribution_params="above 0"))
 def randomize_effort_limits(
     env: Env,
     env_ids: torch.Tensor | None,
@@ -436,13 +435,15 @@ class randomize_floor_slope(TermBase):
 
 
 Vector = Annotated[Sequence[float], Length(3)]
-_PARAMS = "gravity_distribution_params"
 
 
-def _components_fit(given: Mapping[str, Any]) -> Iterator[Broken]:
-    for pair in zip(*given[_PARAMS], strict=True):
-        if expected := pair_error(pair, given["operation"], given["distribution"]):
-            yield Broken(_PARAMS, f"{pair!r} is out of range", f"two lists of x, y, z, for each axis {expected}")
+def _components_fit(
+    gravity_distribution_params: tuple[Vector, Vector], operation: Operation, distribution: Distribution
+) -> Iterator[Broken]:
+    for pair in zip(*gravity_distribution_params, strict=True):
+        if expected := pair_error(pair, operation, distribution):
+            expected = f"two lists of x, y, z, for each axis {expected}"
+            yield Broken("gravity_distribution_params", f"{pair!r} is out of range", expected)
             return
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Callable, Mapping
+from typing import Literal
 
 import mujoco
 import torch
@@ -215,7 +215,12 @@ def reset_joints_by_offset(
 
 
 def _reset_joints(
-    env: Env, env_ids: torch.Tensor | None, operate: Any, ranges: Any, generator: torch.Generator, cfg: SceneEntityCfg
+    env: Env,
+    env_ids: torch.Tensor | None,
+    operate: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+    ranges: tuple[Interval, Interval],
+    generator: torch.Generator,
+    cfg: SceneEntityCfg,
 ) -> None:
     ids, robot, joints = all_ids(env, env_ids), env.scene[cfg.name], cfg.joint_ids
     data = robot.data

@@ -121,10 +121,9 @@ class DCMotor(IdealPDActuator):
         return torch.clamp(torque, bottom, top)
 
 
-def _delays_in_order(given: Mapping[str, Any]) -> Iterator[Broken]:
-    low, high = given["min_delay"], given["max_delay"]
-    if low > high:
-        yield Broken("min_delay", f"{low} is more than max_delay, {high}", "at most max_delay")
+def _delays_in_order(min_delay: int, max_delay: int) -> Iterator[Broken]:
+    if min_delay > max_delay:
+        yield Broken("min_delay", f"{min_delay} is more than max_delay, {max_delay}", "at most max_delay")
 
 
 @relation(_delays_in_order)
@@ -153,14 +152,13 @@ class DelayedPDActuator(IdealPDActuator):
         super().__init__(joint_names_expr, stiffness, damping, *others)
 
 
-def _angles_rise(given: Mapping[str, Any]) -> Iterator[Broken]:
-    name = "joint_parameter_lookup"
-    angles = [row[0] for row in given[name]]
+def _angles_rise(joint_parameter_lookup: Sequence[LookupRow]) -> Iterator[Broken]:
+    name, angles = "joint_parameter_lookup", [row[0] for row in joint_parameter_lookup]
     if len(angles) < 2:
         yield Broken(name, f"has {len(angles)} rows", "at least 2 rows")
     if any(low >= high for low, high in pairwise(angles)):
         yield Broken(name, f"its angles are {angles}", "rows sorted by angle, without repetition")
-    if any(row[2] < 0 for row in given[name]):
+    if any(row[2] < 0 for row in joint_parameter_lookup):
         yield Broken(name, "a largest torque is negative", "torques of at least 0")
 
 

@@ -129,7 +129,7 @@ class PhysxEngine(BatchEngine):
             self._stage.destroy()
             self._physx.destroy()
 
-    def promise(self) -> dict[str, Any]:
+    def promise(self) -> dict[str, object]:
         because = "PhysX gives no access to the contact data on which the step after a restored state depends"
         return {**super().promise(), "version": metadata.version("ovphysx"), "because": because}
 
@@ -151,7 +151,7 @@ class PhysxEngine(BatchEngine):
         self._fields_changed = True
         super().set_const()
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self._fields_changed = True
         self._last_read.fill_(torch.nan)

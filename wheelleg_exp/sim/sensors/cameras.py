@@ -76,10 +76,9 @@ class CameraData(Stateful):
         self.output[data_type] = torch.zeros(size, dtype=dtype, device=self.pos_w.device)
 
 
-def camera_offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
-    """Check the position, orientation and convention of a camera's ``offset``."""
-    yield from offset_fits(given)
-    convention = (given["offset"] or {}).get("convention", "ros")
+def _camera_offset_fits(offset: CameraOffset | None) -> Iterator[Broken]:
+    yield from offset_fits(offset)
+    convention = (offset or {}).get("convention", "ros")
     if convention not in _FROM_WORLD:
         yield Broken("offset.convention", f"{convention!r} is not a convention", "one of " + ", ".join(_FROM_WORLD))
 
@@ -90,11 +89,6 @@ def in_world_convention(offset: CameraOffset | None) -> Offset:
     rot = torch.tensor([given.get("rot", (1.0, 0.0, 0.0, 0.0))], dtype=torch.float32, device="cpu")
     turned = convert_convention(rot, given.get("convention", "ros"), "world")[0].tolist()
     return {"pos": list(given.get("pos", (0.0, 0.0, 0.0))), "rot": turned}
-
-
-def opengl_quat(offset: Offset) -> list[float]:
-    """Return the orientation (w, x, y, z) of a camera in the convention ``opengl``, which MuJoCo's cameras use."""
-    return convert_convention(torch.tensor([offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
 
 
 def clipped(depth: torch.Tensor, farthest: float, behavior: DepthClipping) -> torch.Tensor:
@@ -117,15 +111,15 @@ _LAYERS: dict[str, Layer] = {"rgb": "colour", "rgba": "colour", **dict.fromkeys(
 _BACKGROUND = "BACKGROUND"
 
 
-def _range_of_angles(given: Mapping[str, Any]) -> Iterator[Broken]:
-    if given["fovy"] is not None and given["fovy"] >= math.pi:
-        yield Broken("fovy", f"{given['fovy']!r} is pi or more", "an angle in radians below pi")
-    if given["clipping_range"][0] == given["clipping_range"][1]:
+def _range_of_angles(fovy: float | None, clipping_range: Sequence[float]) -> Iterator[Broken]:
+    if fovy is not None and fovy >= math.pi:
+        yield Broken("fovy", f"{fovy!r} is pi or more", "an angle in radians below pi")
+    if clipping_range[0] == clipping_range[1]:
         yield Broken("clipping_range", "has no depth", "[nearest, farthest] in m")
 
 
 @relation(_range_of_angles)
-@relation(camera_offset_fits)
+@relation(_camera_offset_fits)
 class Camera(LazySensor):
     """A camera on a robot's body, for few environments, because MuJoCo renders each environment separately.
 
@@ -195,13 +189,13 @@ class Camera(LazySensor):
         super().add_to(spec, name, robot)
         self._mount = Mount(self._body, robot, f"{self.key}.body_name")
         self.body_names = [self._mount.body]
-        height, width = self.image_shape
+        quat = convert_convention(torch.tensor([self._offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
+        body = spec.body(self._mount.body)
+        camera = body.add_camera(name=self._name_in_model, pos=self._offset["pos"], quat=quat)
+        camera.resolution, camera.sensor_size = self.image_shape[::-1], self._aperture
         # A positive ``principal_length`` of a MuJoCo camera shifts the image's centre to the left and up.
-        lens: dict[str, Any] = {"focal_length": [self._focal_length] * 2, "sensor_size": self._aperture}
-        lens["principal_length"] = [-self._focal_length * shift for shift in self._shift]
-        pose: dict[str, Any] = {"pos": self._offset["pos"], "quat": opengl_quat(self._offset)}
-        camera = spec.body(self._mount.body).add_camera(name=self._name_in_model, **pose, **lens)
-        camera.resolution = [width, height]
+        camera.focal_length = [self._focal_length] * 2
+        camera.principal_length = [-self._focal_length * shift for shift in self._shift]
 
     @property
     def _name_in_model(self) -> str:
@@ -272,7 +266,7 @@ def _labels(model: mujoco.MjModel, kind: str) -> tuple[dict[int, str], list[int]
 RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 
 
-@relation(camera_offset_fits)
+@relation(_camera_offset_fits)
 class RayCasterCamera(RayCaster):
     """A depth camera on a body of the robot, for any number of environments; the camera's rays hit only the ground.
 

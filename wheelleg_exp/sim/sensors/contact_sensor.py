@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from itertools import product
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import mujoco
 import torch
@@ -13,6 +13,7 @@ import torch
 from wheelleg_exp.constraints import Count, Names, Natural, NonNegative
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
+from wheelleg_exp.sim.class_members import TensorProperty
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.names import match_names
 from wheelleg_exp.sim.sensors.sensor_base import ROUNDING, SensorBase
@@ -41,41 +42,10 @@ def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
     return torch.matmul(pressures, normals).squeeze(2)
 
 
-class ContactPairs:
-    """Reads the contacts of B sensed bodies with M other bodies from the engine's sensor values.
-
-    The dimensions of ``readings`` (N, B * M, S, W) are environments, pairs of bodies, contacts of each pair, and
-    values of each contact. Contact normals point away from the sensed body. ``fields`` names the values.
-    """
-
-    def __init__(self, readings: torch.Tensor, bodies: int, fields: tuple[str, ...]) -> None:
-        self._parts = dict(zip(fields, torch.split(readings, [_SIZES[name] for name in fields], dim=-1), strict=True))
-        self._bodies = bodies
-
-    def normal_forces(self) -> torch.Tensor:
-        """Return the normal force on each of B sensed bodies from each of M other bodies, newtons, (N, B, M, 3)."""
-        return self._of_pairs(summed(self._parts["force"][..., 0].unsqueeze(2), self._parts["normal"]).neg_())
-
-    def friction_forces(self) -> torch.Tensor:
-        """Return the friction force on each of B sensed bodies from each of M other bodies, newtons, (N, B, M, 3)."""
-        tangent = self._parts["tangent"]
-        across = torch.linalg.cross(self._parts["normal"], tangent)
-        _, along, aside = self._parts["force"].split(1, dim=-1)
-        return self._of_pairs((along * tangent + aside * across).sum(dim=2).neg_())
-
-    def points(self) -> torch.Tensor:
-        """Return the mean contact position of each sensed body with each other body, m, (N, B, M, 3), or NaN."""
-        count = (self._parts["found"] > 0.0).sum(dim=2)
-        return self._of_pairs(self._parts["pos"].sum(dim=2) / count)  # A contact sensor's unused slots contain zeros.
-
-    def _of_pairs(self, values: torch.Tensor) -> torch.Tensor:
-        return values.float().view(len(values), self._bodies, -1, 3)
-
-
 TIMES = ("current_air_time", "last_air_time", "current_contact_time", "last_contact_time")
 
 
-def _time(name: str, doc: str) -> property:
+def _time(name: str, doc: str) -> TensorProperty:
     """Make a property that raises ConfigError unless the sensor tracks contact and air times."""
 
     def get(self: ContactSensorData) -> torch.Tensor:
@@ -84,7 +54,7 @@ def _time(name: str, doc: str) -> property:
             self._refuse("contact and air times are not tracked", "track_air_time", expected)
         return self.times[name]
 
-    return property(get, doc=doc)
+    return TensorProperty(get, doc=doc)
 
 
 class ContactSensorData(Stateful):
@@ -112,7 +82,8 @@ class ContactSensorData(Stateful):
         self.filtered: torch.Tensor | None = self.buffer("filtered", None)
         self.points: torch.Tensor | None = self.buffer("points", None)
         self.friction: torch.Tensor | None = self.buffer("friction", None)
-        self._robot: Robot | None = None
+        # The robot and the indices of its sensed bodies, if the sensor tracks their poses.
+        self.posed: tuple[Robot, list[int]] | None = None
         self.times = self.buffer("times", {name: torch.zeros(num_envs, bodies, device=device) for name in TIMES})
 
     @property
@@ -146,32 +117,6 @@ class ContactSensorData(Stateful):
     current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
     last_contact_time = _time("last_contact_time", "Duration of the last contact, s, (N, B).")
 
-    def add_filters(self, count: int, track_contact_points: bool, track_friction_forces: bool) -> None:
-        """Allocate the tensors of the contact forces from ``count`` other bodies."""
-        n, bodies, _ = self.net_forces_w.shape
-        self.filtered = self.net_forces_w.new_zeros(n, len(self.forces), bodies, count, 3)
-        self.points = torch.full_like(self.filtered[:, 0], torch.nan) if track_contact_points else None
-        self.friction = torch.zeros_like(self.filtered[:, 0]) if track_friction_forces else None
-
-    def take_pairs(
-        self, newest: torch.Tensor, points: torch.Tensor | None, friction: torch.Tensor | None, due: torch.Tensor | None
-    ) -> None:
-        """Add the forces (N, B, M, 3) between B sensed and M filtered bodies to the history of these forces."""
-        filtered = torch.cat((newest.unsqueeze(1), self.force_matrix_w_history[:, :-1]), dim=1)
-        for name, value in {"filtered": filtered, "points": points, "friction": friction}.items():
-            if value is not None and due is not None:
-                value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(self, name))
-            setattr(self, name, value)
-
-    def of_pairs(self) -> dict[str, torch.Tensor]:
-        """Return those of the tensors ``filtered``, ``points``, and ``friction`` that are not None, by name."""
-        found = {"filtered": self.filtered, "points": self.points, "friction": self.friction}
-        return {name: value for name, value in found.items() if value is not None}
-
-    def add_pose(self, robot: Robot, bodies: list[str]) -> None:
-        """Store the robot, so that ``pos_w`` and ``quat_w`` can read the poses of the sensed bodies."""
-        self._robot, self._ids = robot, [robot.body_names.index(body) for body in bodies]
-
     @property
     def force_matrix_w_history(self) -> torch.Tensor:
         """Last T normal forces on each sensed body from each filtered body, (N, T, B, M, 3), newtons, newest first."""
@@ -201,17 +146,19 @@ class ContactSensorData(Stateful):
     @property
     def pos_w(self) -> torch.Tensor:
         """Positions of the sensed bodies' frames, m, (N, B, 3)."""
-        return self._posed().data.body_pos_w[:, self._ids]
+        robot, ids = self._posed()
+        return robot.data.body_pos_w[:, ids]
 
     @property
     def quat_w(self) -> torch.Tensor:
         """Orientations of the sensed bodies' frames (w, x, y, z), (N, B, 4)."""
-        return self._posed().data.body_quat_w[:, self._ids]
+        robot, ids = self._posed()
+        return robot.data.body_quat_w[:, ids]
 
-    def _posed(self) -> Robot:
-        if self._robot is None:
+    def _posed(self) -> tuple[Robot, list[int]]:
+        if self.posed is None:
             self._refuse("poses are not tracked", "track_pose", "true, for a term that reads poses")
-        return self._robot
+        return self.posed
 
     def _refuse(self, message: str, name: str, expected: str) -> NoReturn:
         raise ConfigError(message, key=f"{self._key}.{name}", expected=expected)
@@ -219,8 +166,9 @@ class ContactSensorData(Stateful):
     def reset(self, ids: torch.Tensor) -> None:
         """Set the contact forces, contact times and air times of the environments ``ids`` to zero."""
         self.set_forces([force.index_fill(0, ids, 0.0) for force in self.forces])
-        for name, value in self.of_pairs().items():
-            setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
+        for name in ("filtered", "points", "friction"):
+            if (value := getattr(self, name)) is not None:
+                setattr(self, name, value.index_fill(0, ids, torch.nan if name == "points" else 0.0))
         if self._track_air_time:
             for value in self.times.values():
                 value.index_fill_(0, ids, 0.0)
@@ -296,14 +244,10 @@ class ContactSensor(SensorBase):
         return FIELDS if any(self._tracked.values()) else NORMAL
 
     def _sense(
-        self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, Any], suffix: str = ""
+        self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, object], suffix: str = ""
     ) -> None:
         flags = sum(1 << int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{name.upper()}")) for name in fields)
-        sensed: dict[str, Any] = {
-            "type": mujoco.mjtSensor.mjSENS_CONTACT,
-            "objtype": mujoco.mjtObj.mjOBJ_BODY,
-            "objname": body,
-        }
+        sensed = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": mujoco.mjtObj.mjOBJ_BODY, "objname": body}
         spec.add_sensor(name=f"{self.name}/{body}{suffix}", intprm=[flags, 0, self._slots], **sensed, **ref)
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
@@ -319,13 +263,18 @@ class ContactSensor(SensorBase):
         data = ContactSensorData(self.key, n, bodies, self._history_length, self.track_air_time, device)
         self.data = self.child("data", data)
         if self.filter_names:
-            fields, others = self._fields_of_pairs, len(self.filter_names)
-            form = n, bodies * others, self._slots, width(fields)
-            readings = sim.view("sensordata")[:, end : end + form[1] * form[2] * form[3]]
-            self._pairs = ContactPairs(readings.view(form), bodies, fields)
-            self.data.add_filters(others, **self._tracked)
+            sizes, others = [_SIZES[name] for name in self._fields_of_pairs], len(self.filter_names)
+            form = n, bodies * others, self._slots, sum(sizes)
+            readings = sim.view("sensordata")[:, end : end + form[1] * form[2] * form[3]].view(form)
+            # ``_pairs`` has each field of the contacts of all pairs of bodies, (N, B * M, contacts, size).
+            self._pairs = dict(zip(self._fields_of_pairs, readings.split(sizes, dim=-1), strict=True))
+            data.filtered = torch.zeros(n, self._history_length, bodies, others, 3, device=device)
+            if self._tracked["track_contact_points"]:
+                data.points = torch.full_like(data.filtered[:, 0], torch.nan)
+            if self._tracked["track_friction_forces"]:
+                data.friction = torch.zeros_like(data.filtered[:, 0])
         if self._track_pose:
-            self.data.add_pose(self._robot, self.body_names)
+            data.posed = self._robot, [self._robot.body_names.index(body) for body in self.body_names]
         self._largest_norm = self.buffer("_largest_norm", None, saved=False)
         self._found = self.buffer("_found", torch.zeros(n, bodies, dtype=sim.dtype, device=device))
 
@@ -339,14 +288,12 @@ class ContactSensor(SensorBase):
     def compute_first_contact(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that touched down within the last ``dt`` seconds."""
         time = self.data.current_contact_time
-        found: torch.Tensor = (time > 0.0) & (time < dt * (1 + ROUNDING))
-        return found
+        return (time > 0.0) & (time < dt * (1 + ROUNDING))
 
     def compute_first_air(self, dt: float) -> torch.Tensor:
         """Return a mask (N, B) of the sensed bodies that left the ground within the last ``dt`` seconds."""
         time = self.data.current_air_time
-        found: torch.Tensor = (time > 0.0) & (time < dt * (1 + ROUNDING))
-        return found
+        return (time > 0.0) & (time < dt * (1 + ROUNDING))
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         # Negate the sum, because contact forces push the sensed body, but contact normals point away from the body.
@@ -354,9 +301,7 @@ class ContactSensor(SensorBase):
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None
         if self.filter_names:
-            points = self._pairs.points() if self._tracked["track_contact_points"] else None
-            friction = self._pairs.friction_forces() if self._tracked["track_friction_forces"] else None
-            self.data.take_pairs(self._pairs.normal_forces(), points, friction, due)
+            self._measure_pairs(due)
         if not self.track_air_time:
             return
         elapsed = elapsed if isinstance(elapsed, float) else elapsed.unsqueeze(1)
@@ -371,6 +316,23 @@ class ContactSensor(SensorBase):
                 lasted, counted = torch.where(rows, lasted, last), torch.where(rows, counted, current)
             last.copy_(lasted)
             current.copy_(counted)
+
+    def _measure_pairs(self, due: torch.Tensor | None) -> None:
+        """Measure the contacts of B sensed bodies with M other bodies."""
+        parts, data, form = self._pairs, self.data, (-1, len(self.body_names), len(self.filter_names), 3)
+        force = summed(parts["force"][..., 0].unsqueeze(2), parts["normal"]).neg_().float().view(form)
+        found = {"filtered": torch.cat((force.unsqueeze(1), data.force_matrix_w_history[:, :-1]), dim=1)}
+        if self._tracked["track_contact_points"]:  # Unused slots of contacts contain zeros.
+            points = parts["pos"].sum(dim=2) / (parts["found"] > 0.0).sum(dim=2)
+            found["points"] = points.float().view(form)
+        if self._tracked["track_friction_forces"]:
+            tangent, across = parts["tangent"], torch.cross(parts["normal"], parts["tangent"], dim=-1)
+            _, along, aside = parts["force"].split(1, dim=-1)
+            found["friction"] = (along * tangent + aside * across).sum(dim=2).neg_().float().view(form)
+        for name, value in found.items():
+            if due is not None:
+                value = torch.where(due.view(-1, *[1] * (value.ndim - 1)), value, getattr(data, name))
+            setattr(data, name, value)
 
     def reset(self, ids: torch.Tensor) -> None:
         super().reset(ids)
@@ -390,7 +352,7 @@ class ContactSensor(SensorBase):
         overflowed = (self._found.index_select(0, env_ids) > self._slots).any(dim=1)
         return {"overflow": overflowed.mean(dtype=torch.float32)}
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self.data.set_forces(self.data.forces)
         self._largest_norm = None

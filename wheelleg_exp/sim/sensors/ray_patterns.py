@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
 
 import torch
 
@@ -73,10 +73,10 @@ class GridPattern(PatternBase):
         return starts, torch.tensor(self.direction, device=device).expand_as(starts).clone()
 
 
-def _angles_in_radians(given: Mapping[str, Any]) -> Iterator[Broken]:
-    for name in ("vertical_fov_range", "horizontal_fov_range"):
-        if max(map(abs, given[name])) > _TURN + 1e-6:
-            yield Broken(name, f"{list(given[name])!r} is more than a full turn", "[low, high] in radians")
+def _angles_in_radians(vertical_fov_range: Sequence[float], horizontal_fov_range: Sequence[float]) -> Iterator[Broken]:
+    for name, given in (("vertical_fov_range", vertical_fov_range), ("horizontal_fov_range", horizontal_fov_range)):
+        if max(map(abs, given)) > _TURN + 1e-6:
+            yield Broken(name, f"{list(given)!r} is more than a full turn", "[low, high] in radians")
 
 
 @relation(_angles_in_radians)

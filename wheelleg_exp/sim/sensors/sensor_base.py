@@ -126,7 +126,7 @@ class SensorBase(Stateful):
         """Return indices and names of matching sensed bodies; raise ConfigError if an expression matches no body."""
         return match_names(expressions, self.body_names, key=key, what="body", preserve_order=preserve_order)
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self._is_new.fill_(False)
 
@@ -195,22 +195,22 @@ class LazySensor(SensorBase):
             self.sense(env_ids[self._is_new[env_ids]])
         fill_rows(self._is_new, env_ids, False)
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         self._outdated = slice(None) if self.update_period == 0.0 else None
 
 
 Offset = Mapping[Literal["pos", "rot"], Sequence[float]]
+_CameraOffset = Mapping[Literal["pos", "rot", "convention"], Sequence[float] | Literal["world", "ros", "opengl"]]
 
 
-def offset_fits(given: Mapping[str, Any]) -> Iterator[Broken]:
+def offset_fits(offset: Offset | _CameraOffset | None) -> Iterator[Broken]:
     """Check a sensor's ``offset``, which has ``pos`` (x, y, z), m, and ``rot`` (w, x, y, z)."""
-    offset = given["offset"] or {}
-    if len(offset.get("pos", (0, 0, 0))) != 3:
-        yield Broken("offset.pos", f"{offset['pos']!r} is not a position", "3 finite numbers")
-    if len(offset.get("rot", (1, 0, 0, 0))) != 4 or not any(offset.get("rot", (1, 0, 0, 0))):
-        expected = "4 finite numbers (w, x, y, z), not all zero"
-        yield Broken("offset.rot", f"{offset['rot']!r} is not an orientation", expected)
+    pos, rot = (offset or {}).get("pos", (0, 0, 0)), (offset or {}).get("rot", (1, 0, 0, 0))
+    if len(pos) != 3:
+        yield Broken("offset.pos", f"{pos!r} is not a position", "3 finite numbers")
+    if len(rot) != 4 or not any(rot):
+        yield Broken("offset.rot", f"{rot!r} is not an orientation", "4 finite numbers (w, x, y, z), not all zero")
 
 
 def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:

@@ -1,18 +1,17 @@
-"""Generation of a ground: kind, difficulty, heights, origin and flat patches of each tile; height map."""
+"""Terrain tiles: their heights, the height map of several tiles, and their geoms: height fields, or boxes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.progress import with_progress
-from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
-from wheelleg_exp.sim.terrain.terrain_base import TERRAIN_KEY
+from wheelleg_exp.sim.terrain.sub_terrains import Array
+from wheelleg_exp.sim.terrain.terrain_base import add_geom
 
 
 @dataclass(frozen=True)
@@ -74,107 +73,48 @@ class HeightMap:
         return self.height_at(torch.from_numpy(points)).numpy()
 
 
-_MARGIN = 0.001  # As in Isaac Lab, 0.001 is added to col / num_cols when a column's sub-terrain is chosen.
+def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
+    """Add a box between two corners (3,), m, to the ground."""
+    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+    add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2)
 
 
-@dataclass(frozen=True)
-class Layout:
-    """The arguments of ``TerrainGenerator`` that determine the shape of the ground."""
+def add_tile(
+    spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
+) -> None:
+    """Add a terrain tile as a height field or boxes, down to a tenth of the tile's edge below the tile's lowest height.
 
-    size: tuple[float, float]
-    num_rows: int
-    num_cols: int
-    horizontal_scale: float
-    vertical_scale: float
-    curriculum: bool
-    difficulty_range: tuple[float, float]
-    origin_window: float
-    sub_terrains: Mapping[str, SubTerrain]
-    seed: int = 0
-
-
-@dataclass(frozen=True)
-class Relief:
-    """A generated ground, whose coordinates are relative to the ground's centre.
-
-    ``tiles`` lists the tiles row by row, ``kinds`` (rows, cols) are the indices of the tiles' sub-terrains, and
-    ``origins`` (rows, cols, 3) are the tiles' origins, m. ``patches`` maps each name to the positions of P flat patches
-    per tile, m, (rows, cols, P, 3).
+    If the tile has several boxes, their names are ``name/0``, ``name/1``, and so on; ``centre`` and ``size`` are in m.
     """
-
-    tiles: Sequence[Tile]
-    kinds: npt.NDArray[np.int64]
-    difficulties: Array
-    origins: Array
-    patches: Mapping[str, Array]
-
-
-def make_relief(layout: Layout) -> Relief:
-    """Generate the ground; equal arguments give equal grounds. Raise ConfigError if a terrain tile cannot be made."""
-    rng = np.random.default_rng(layout.seed)
-    shape = (layout.num_rows, layout.num_cols)
-    names, parts = list(layout.sub_terrains), list(layout.sub_terrains.values())
-    kinds, difficulties, origins = np.zeros(shape, dtype=np.int64), np.zeros(shape), np.zeros((*shape, 3))
-    rows = (np.arange(layout.num_rows) + 0.5 - layout.num_rows / 2) * layout.size[0]
-    cols = (np.arange(layout.num_cols) + 0.5 - layout.num_cols / 2) * layout.size[1]
-    origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
-    # If a tile's sub-terrain lacks flat patches that another sub-terrain defines, use the tile's origin instead.
-    counts: dict[str, int] = {}
-    for kind_name, own in layout.sub_terrains.items():
-        for patch, wanted in own.flat_patches.items():
-            if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
-                message = f"'{patch}' has {counts[patch]} patches on another sub-terrain and {wanted.num_patches} here"
-                key = f"{TERRAIN_KEY}.sub_terrains.{kind_name}.flat_patches.{patch}.num_patches"
-                raise ConfigError(message, key=key, expected="the same number on all sub-terrains")
-    patches = {name: np.zeros((*shape, count, 3)) for name, count in counts.items()}
-    tiles: dict[tuple[int, int], Tile] = {}
-    # As in Isaac Lab, a terrain with a curriculum is generated column by column, else row by row.
-    order = list(np.ndindex(shape)) if not layout.curriculum else [(r, c) for c, r in np.ndindex(shape[::-1])]
-    for row, col in with_progress("making tiles", order):
-        kind, difficulty = _chosen(layout, row, col, rng)
-        part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
-        tile = _tile(layout, part, difficulty, rng, key)
-        kinds[row, col], difficulties[row, col], tiles[row, col] = kind, difficulty, tile
-        # The height of a tile's origin is the largest height in a window at the tile's centre.
-        windows = []
-        for count in tile.heights.shape:
-            reach = max(0.5, layout.origin_window * count / 2)
-            windows.append(slice(int(np.floor(count / 2 - reach)), int(np.ceil(count / 2 + reach))))
-        origins[row, col, 2] = float(tile.heights[tuple(windows)].max())
-        alone = HeightMap([tile], 1, layout.size, torch.device("cpu"))
-        origin = np.array([0.0, 0.0, origins[row, col, 2]])
-        for name in patches:
-            patches[name][row, col] = origins[row, col]
-        for name, wanted in part.flat_patches.items():
-            key_of_patches = f"{key}.flat_patches.{name}"
-            patches[name][row, col] += wanted.find(alone.heights_at, origin, layout.size, rng, key_of_patches)
-    return Relief([tiles[index] for index in np.ndindex(shape)], kinds, difficulties, origins, patches)
+    heights = tile.heights.astype(float)
+    corner = np.array(centre) - np.array(size) / 2
+    depth, lowest, highest = 0.1 * min(size), heights.min(), heights.max()
+    if lowest == highest:
+        add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
+    elif tile.boxes:
+        cell = np.array(size) / tile.cells
+        # Represent the heights by boxes side by side or by nested boxes, whichever are fewer.
+        levels = np.unique(heights)
+        apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
+        nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
+        for number, (i0, i1, j0, j1, top) in enumerate(nested if len(nested) <= len(apart) else apart):
+            low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
+            add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
+    else:
+        # The heights in a MuJoCo height field are from 0 to 1, and its rows run along y.
+        span, (columns, rows) = highest - lowest, heights.shape
+        data = ((heights - lowest) / span).T.ravel()
+        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
+        add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
 
 
-def _chosen(layout: Layout, row: int, col: int, rng: np.random.Generator) -> tuple[int, float]:
-    """Return kind and difficulty of a tile: by column and row with a curriculum, otherwise random."""
-    shares = np.array([part.proportion for part in layout.sub_terrains.values()])
-    shares = shares / shares.sum()
-    low, high = layout.difficulty_range
-    if not layout.curriculum:
-        return int(rng.choice(len(shares), p=shares)), float(rng.uniform(low, high))
-    beyond = np.flatnonzero(col / layout.num_cols + _MARGIN < np.cumsum(shares))
-    kind = int(beyond[0]) if len(beyond) else len(shares) - 1
-    return kind, float(low + (high - low) * (row + rng.uniform()) / layout.num_rows)
-
-
-def _tile(layout: Layout, part: SubTerrain, difficulty: float, rng: np.random.Generator, key: str) -> Tile:
-    scale, size = part.horizontal_scale or layout.horizontal_scale, layout.size
-    cells = [max(1, round(edge / scale)) for edge in size]
-    half = (size[0] / 2 - part.border_width, size[1] / 2 - part.border_width)
-    if min(half) <= 0:
-        expected = f"less than half a tile's edge, {min(size) / 2:g}"
-        raise ConfigError("the flat borders cover the whole terrain tile", key=f"{key}.border_width", expected=expected)
-    pairs = list(zip(cells, size, strict=True))
-    x, y = (np.linspace(-edge / 2, edge / 2, count + 1) for count, edge in pairs)
-    if part.boxes:
-        x, y = ((np.arange(count) + 0.5) * edge / count - edge / 2 for count, edge in pairs)
-    grid = Grid(x[:, None], y[None, :], half)
-    heights = np.broadcast_to(part.heights(difficulty, grid, rng), (len(x), len(y)))
-    heights = np.where(grid.to_edge >= 0, heights, 0.0) if part.border_width else heights
-    return Tile((np.rint(heights / layout.vertical_scale) * layout.vertical_scale).astype(np.float32), part.boxes)
+def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield rectangles of cells that cover the mask: runs along y, extended along x while the run is the same."""
+    steps = np.diff(np.pad(mask, ((0, 1), (1, 1))).astype(np.int8), axis=1)
+    started: dict[tuple[int, int], int] = {}
+    for i, row in enumerate(steps):
+        runs = set(zip(np.flatnonzero(row == 1).tolist(), np.flatnonzero(row == -1).tolist(), strict=True))
+        for run in [run for run in started if run not in runs]:
+            yield started.pop(run), i, *run
+        for run in sorted(runs - started.keys()):
+            started[run] = i

@@ -194,7 +194,7 @@ class TerrainBase(Stateful):
         """Whether ``height_at`` evaluates a fast formula instead of casting rays."""
         return type(self).height_at is not TerrainBase.height_at
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         super().load_state_dict(saved)
         if self.terrain_origins is not None:
             self.env_origins.copy_(self.terrain_origins[self.terrain_levels, self.terrain_types])
@@ -203,6 +203,11 @@ class TerrainBase(Stateful):
 def is_ground(name: str) -> bool:
     """Return whether a geom of the scene is part of the ground."""
     return name == GROUND or name.startswith(f"{GROUND}/")
+
+
+def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: object) -> None:
+    """Add one of the ground's geoms to the scene's MuJoCo spec."""
+    spec.worldbody.add_geom(name=name, friction=[friction, 0.005, 0.0001], rgba=[0.35, 0.38, 0.42, 1.0], **what)
 
 
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
@@ -238,8 +243,7 @@ class Plane(TerrainBase):
             del self.terrain_levels, self.terrain_types
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        look: dict[str, Any] = {"friction": [self.dynamic_friction, 0.005, 0.0001], "rgba": [0.35, 0.38, 0.42, 1]}
-        spec.worldbody.add_geom(name=GROUND, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], **look)
+        add_geom(spec, GROUND, self.dynamic_friction, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
 
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         return torch.zeros_like(xy[..., 0])

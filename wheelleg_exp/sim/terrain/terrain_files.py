@@ -17,10 +17,9 @@ from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.files import open_file
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.paths import GROUND as FOLDER
-from wheelleg_exp.sim.terrain.relief import HeightMap, Tile
+from wheelleg_exp.sim.terrain.relief import HeightMap, Tile, add_tile
 from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, Probe, TerrainBase
-from wheelleg_exp.sim.terrain.terrain_generator import add_tile
 
 Array = npt.NDArray[np.float64]
 Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, centre, edges, m

@@ -1,86 +1,32 @@
-"""A ground of generated tiles, and the geoms of tiles: height fields, or boxes for tiles with vertical edges."""
+"""A ground of generated tiles: kind, difficulty, heights, origin, and flat patches of each tile."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Broken, Count, NonNegative, Positive, Share, relation
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.progress import with_progress
-from wheelleg_exp.sim.terrain.relief import HeightMap, Layout, Tile, make_relief
-from wheelleg_exp.sim.terrain.sub_terrains import SubTerrain
+from wheelleg_exp.sim.terrain.relief import HeightMap, Tile, add_box, add_tile
+from wheelleg_exp.sim.terrain.sub_terrains import Array, Grid, SubTerrain
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, TerrainBase
 
-_COLOUR = (0.35, 0.38, 0.42, 1.0)
-
-
-def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: Any) -> None:
-    """Add one of the ground's geoms to the scene's MuJoCo spec."""
-    spec.worldbody.add_geom(name=name, friction=[friction, 0.005, 0.0001], rgba=_COLOUR, **what)
-
-
-def add_box(spec: mujoco.MjSpec, name: str, friction: float, low: npt.ArrayLike, high: npt.ArrayLike) -> None:
-    """Add a box between two corners (3,), m, to the ground."""
-    low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-    add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=(low + high) / 2)
-
-
-def add_tile(
-    spec: mujoco.MjSpec, name: str, friction: float, tile: Tile, centre: tuple[float, float], size: tuple[float, float]
-) -> None:
-    """Add a terrain tile as a height field or boxes, down to a tenth of the tile's edge below the tile's lowest height.
-
-    If the tile has several boxes, their names are ``name/0``, ``name/1``, and so on; ``centre`` and ``size`` are in m.
-    """
-    heights = tile.heights.astype(float)
-    corner = np.array(centre) - np.array(size) / 2
-    depth, lowest, highest = 0.1 * min(size), heights.min(), heights.max()
-    if lowest == highest:
-        add_box(spec, name, friction, (*corner, lowest - depth), (*(corner + size), highest))
-    elif tile.boxes:
-        cell = np.array(size) / tile.cells
-        # Represent the heights by boxes side by side or by nested boxes, whichever are fewer.
-        levels = np.unique(heights)
-        apart = [(*box, float(level)) for level in levels for box in _rectangles(heights == level)]
-        nested = [(*box, float(level)) for level in levels for box in _rectangles(heights >= level)]
-        for number, (i0, i1, j0, j1, top) in enumerate(nested if len(nested) <= len(apart) else apart):
-            low, high = corner + cell * (i0, j0), corner + cell * (i1, j1)
-            add_box(spec, f"{name}/{number}", friction, (*low, lowest - depth), (*high, top))
-    else:
-        # The heights in a MuJoCo height field are from 0 to 1, and its rows run along y.
-        span, (columns, rows) = highest - lowest, heights.shape
-        data = ((heights - lowest) / span).T.ravel()
-        spec.add_hfield(name=name, nrow=rows, ncol=columns, size=[size[0] / 2, size[1] / 2, span, depth], userdata=data)
-        add_geom(spec, name, friction, type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, pos=(*centre, lowest))
-
-
-def _rectangles(mask: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield rectangles of cells that cover the mask: runs along y, extended along x while the run is the same."""
-    steps = np.diff(np.pad(mask, ((0, 1), (1, 1))).astype(np.int8), axis=1)
-    started: dict[tuple[int, int], int] = {}
-    for i, row in enumerate(steps):
-        runs = set(zip(np.flatnonzero(row == 1).tolist(), np.flatnonzero(row == -1).tolist(), strict=True))
-        for run in [run for run in started if run not in runs]:
-            yield started.pop(run), i, *run
-        for run in sorted(runs - started.keys()):
-            started[run] = i
-
-
+_MARGIN = 0.001  # As in Isaac Lab, 0.001 is added to col / num_cols when a column's sub-terrain is chosen.
 ORIGIN_WINDOW = 0.25  # A robot starts at the largest height in the central quarter of a terrain tile's width.
 _BYTES = 40  # NumPy, torch and MuJoCo together need 40 bytes per grid square of the ground.
 
 
-def _some_share(given: Mapping[str, Any]) -> Iterator[Broken]:
-    parts = [node for node in given["sub_terrains"].values() if node is not None]
-    if not any((node["proportion"] if isinstance(node, Mapping) else node.proportion) for node in parts):
+def _some_share(sub_terrains: Mapping[str, constraints.Node | SubTerrain | None]) -> Iterator[Broken]:
+    parts = [node for node in sub_terrains.values() if node is not None]
+    if not any(node.proportion if isinstance(node, SubTerrain) else node["proportion"] for node in parts):
         yield Broken("sub_terrains", "no sub-terrain has a proportion above 0", "one with a proportion above 0")
 
 
@@ -131,38 +77,95 @@ class TerrainGenerator(TerrainBase):
         self.max_init_terrain_level = max_init_terrain_level
         self.border_width = border_width
         self.difficulty_range = (difficulty_range[0], difficulty_range[1])
-        self._seed = seed
-        self._cells = (size[0] / horizontal_scale) * (size[1] / horizontal_scale) * num_rows * num_cols
-        self.layout = Layout(
-            size=self.size,
-            num_rows=num_rows,
-            num_cols=num_cols,
-            horizontal_scale=horizontal_scale,
-            vertical_scale=vertical_scale,
-            curriculum=curriculum,
-            difficulty_range=self.difficulty_range,
-            origin_window=origin_window,
-            sub_terrains={name: cast(SubTerrain, part) for name, part in sub_terrains.items() if part is not None},
-        )
+        self.num_rows, self.num_cols, self.curriculum = num_rows, num_cols, curriculum
+        self.horizontal_scale, self.vertical_scale = horizontal_scale, vertical_scale
+        self._origin_window, self._seed = origin_window, seed
+        self.sub_terrains = {name: cast(SubTerrain, part) for name, part in sub_terrains.items() if part is not None}
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
-        key = f"{TERRAIN_KEY}.horizontal_scale"
-        require_memory(int(_BYTES * self._cells), key, f"{self._cells:,.0f} cells of the ground")
-        self.layout = replace(self.layout, seed=stream().initial_seed() if self._seed is None else self._seed)
-        self.relief = make_relief(self.layout)
-        self._map = HeightMap(self.relief.tiles, self.layout.num_rows, self.size, device)
-        self.terrain_origins = torch.as_tensor(self.relief.origins, dtype=torch.float32, device=device)
-        patches = self.relief.patches.items()
-        self.flat_patches = {n: torch.as_tensor(p, dtype=torch.float32, device=device) for n, p in patches}
+        cells = self.size[0] * self.size[1] / self.horizontal_scale**2 * self.num_rows * self.num_cols
+        require_memory(int(_BYTES * cells), f"{TERRAIN_KEY}.horizontal_scale", f"{cells:,.0f} cells of the ground")
+        patches = self._generate(stream().initial_seed() if self._seed is None else self._seed)
+        self._map = HeightMap(self.tiles, self.num_rows, self.size, device)
+        self.terrain_origins = torch.as_tensor(self._origins, dtype=torch.float32, device=device)
+        self.flat_patches = {n: torch.as_tensor(p, dtype=torch.float32, device=device) for n, p in patches.items()}
         super().place(num_envs, spacing, device, stream)
 
+    def _generate(self, seed: int) -> Mapping[str, Array]:
+        """Make the tiles, equal for equal seeds; return P flat patches per tile by name, m, (rows, cols, P, 3)."""
+        rng, shape = np.random.default_rng(seed), (self.num_rows, self.num_cols)
+        names, parts = list(self.sub_terrains), list(self.sub_terrains.values())
+        self.kinds, self.difficulties = np.zeros(shape, dtype=np.int64), np.zeros(shape)
+        self._origins = np.zeros((*shape, 3))
+        rows, cols = ((np.arange(n) + 0.5 - n / 2) * edge for n, edge in zip(shape, self.size, strict=True))
+        self._origins[..., :2] = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1)
+        # If a tile's sub-terrain lacks flat patches that another sub-terrain defines, use the tile's origin instead.
+        counts: dict[str, int] = {}
+        for kind_name, own in self.sub_terrains.items():
+            for patch, wanted in own.flat_patches.items():
+                if counts.setdefault(patch, wanted.num_patches) != wanted.num_patches:
+                    found = f"{counts[patch]} patches on another sub-terrain and {wanted.num_patches} here"
+                    key = f"{TERRAIN_KEY}.sub_terrains.{kind_name}.flat_patches.{patch}.num_patches"
+                    expected = "the same number on all sub-terrains"
+                    raise ConfigError(f"'{patch}' has {found}", key=key, expected=expected)
+        patches = {name: np.zeros((*shape, count, 3)) for name, count in counts.items()}
+        tiles: dict[tuple[int, int], Tile] = {}
+        # As in Isaac Lab, a terrain with a curriculum is generated column by column, else row by row.
+        order = list(np.ndindex(shape)) if not self.curriculum else [(r, c) for c, r in np.ndindex(shape[::-1])]
+        for row, col in with_progress("making tiles", order):
+            kind, difficulty = self._chosen(row, col, rng)
+            part, key = parts[kind], f"{TERRAIN_KEY}.sub_terrains.{names[kind]}"
+            tile = self._tile(part, difficulty, rng, key)
+            self.kinds[row, col], self.difficulties[row, col], tiles[row, col] = kind, difficulty, tile
+            # The height of a tile's origin is the largest height in a window at the tile's centre.
+            reaches = ((count, max(0.5, self._origin_window * count / 2)) for count in tile.heights.shape)
+            window = tuple(slice(math.floor(n / 2 - reach), math.ceil(n / 2 + reach)) for n, reach in reaches)
+            self._origins[row, col, 2] = float(tile.heights[window].max())
+            alone = HeightMap([tile], 1, self.size, torch.device("cpu"))
+            for places in patches.values():
+                places[row, col] = self._origins[row, col]
+            origin = self._origins[row, col] * (0.0, 0.0, 1.0)
+            for name, wanted in part.flat_patches.items():
+                patches[name][row, col] += wanted.find(
+                    alone.heights_at, origin, self.size, rng, f"{key}.flat_patches.{name}"
+                )
+        self.tiles = [tiles[index] for index in np.ndindex(shape)]
+        return patches
+
+    def _chosen(self, row: int, col: int, rng: np.random.Generator) -> tuple[int, float]:
+        """Return kind and difficulty of a tile: by column and row with a curriculum, otherwise random."""
+        shares = np.array([part.proportion for part in self.sub_terrains.values()])
+        shares = shares / shares.sum()
+        low, high = self.difficulty_range
+        if not self.curriculum:
+            return int(rng.choice(len(shares), p=shares)), float(rng.uniform(low, high))
+        beyond = np.flatnonzero(col / self.num_cols + _MARGIN < np.cumsum(shares))
+        kind = int(beyond[0]) if len(beyond) else len(shares) - 1
+        return kind, float(low + (high - low) * (row + rng.uniform()) / self.num_rows)
+
+    def _tile(self, part: SubTerrain, difficulty: float, rng: np.random.Generator, key: str) -> Tile:
+        scale, size = part.horizontal_scale or self.horizontal_scale, self.size
+        cells = [max(1, round(edge / scale)) for edge in size]
+        half = (size[0] / 2 - part.border_width, size[1] / 2 - part.border_width)
+        if min(half) <= 0:
+            message = "the flat borders cover the whole terrain tile"
+            expected = f"less than half a tile's edge, {min(size) / 2:g}"
+            raise ConfigError(message, key=f"{key}.border_width", expected=expected)
+        pairs = list(zip(cells, size, strict=True))
+        x, y = (np.linspace(-edge / 2, edge / 2, count + 1) for count, edge in pairs)
+        if part.boxes:
+            x, y = ((np.arange(count) + 0.5) * edge / count - edge / 2 for count, edge in pairs)
+        grid = Grid(x[:, None], y[None, :], half)
+        heights = np.broadcast_to(part.heights(difficulty, grid, rng), (len(x), len(y)))
+        heights = np.where(grid.to_edge >= 0, heights, 0.0) if part.border_width else heights
+        return Tile((np.rint(heights / self.vertical_scale) * self.vertical_scale).astype(np.float32), part.boxes)
+
     def add_to(self, spec: mujoco.MjSpec) -> None:
-        tiles = list(enumerate(zip(self.relief.tiles, self.relief.origins.reshape(-1, 3), strict=True)))
-        for number, (tile, origin) in with_progress("laying tiles", tiles):
-            row, col = divmod(number, self.layout.num_cols)
-            name = f"{GROUND}/{row}_{col}"
-            add_tile(spec, name, self.dynamic_friction, tile, (origin[0], origin[1]), self.size)
-        x, y = (self.size[0] * self.layout.num_rows / 2, self.size[1] * self.layout.num_cols / 2)
+        for number, tile in with_progress("laying tiles", list(enumerate(self.tiles))):
+            row, col = divmod(number, self.num_cols)
+            x, y, _ = self._origins[row, col]
+            add_tile(spec, f"{GROUND}/{row}_{col}", self.dynamic_friction, tile, (x, y), self.size)
+        x, y = (self.size[0] * self.num_rows / 2, self.size[1] * self.num_cols / 2)
         width, depth = self.border_width, 0.1 * min(self.size)
         sides = ((-x - width, x + width, y, y + width), (-x - width, x + width, -y - width, -y))
         ends = ((x, x + width, -y, y), (-x - width, -x, -y, y))
