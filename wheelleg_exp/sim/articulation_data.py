@@ -84,22 +84,20 @@ class ArticulationData(Stateful):
         self._qpos_ids, self._dof_ids = layout.qpos_ids, layout.dof_ids
         self.motion_at_start = self.buffer("motion_at_start", sim.motion.clone(), saved=False)
         self._motion_before = self.buffer("_motion_before", torch.zeros_like(self.motion_at_start))
-        self._qpos_before, self._qvel_before = self._motion_before.split(self._qpos.shape[1:] + self._qvel.shape[1:], 1)
+        nq = self._qpos.shape[1]
+        self._qpos_before, self._qvel_before = self._motion_before[:, :nq], self._motion_before[:, nq:]
         self._body_ids = layout.body_ids
         self._actuated = layout.actuated_ids
         every = len(self._actuated) == joints
         self._of_actuator = narrowed(torch.argsort(self._actuated).tolist(), device) if every else None
         self._dt = float(sim.model.opt.timestep)
-        com_b = sim.constant("body_ipos")[self._root_id].float().expand(n, 3).clone()
-        self.com_b = self.setting("com_b", com_b)
-        self.default_joint_pos = self.setting("default_joint_pos", layout.default_joint_pos.expand(n, joints).clone())
-        self.default_joint_vel = self.setting("default_joint_vel", layout.default_joint_vel.expand(n, joints).clone())
-        self.joint_pos_limits = self.setting("joint_pos_limits", layout.joint_pos_limits.expand(n, joints, 2).clone())
-        soft_limits = layout.soft_joint_pos_limits.expand(n, joints, 2).clone()
-        self.soft_joint_pos_limits = self.setting("soft_joint_pos_limits", soft_limits)
-        velocity_limits = layout.velocity_limits.expand(n, joints).clone()
-        self.soft_joint_vel_limits = self.setting("soft_joint_vel_limits", velocity_limits)
-        self.joint_effort_limits = self.setting("joint_effort_limits", layout.effort_limits.expand(n, joints).clone())
+        self.com_b = self.setting("com_b", sim.constant("body_ipos")[self._root_id].float().repeat(n, 1))
+        self.default_joint_pos = self.setting("default_joint_pos", layout.default_joint_pos.repeat(n, 1))
+        self.default_joint_vel = self.setting("default_joint_vel", layout.default_joint_vel.repeat(n, 1))
+        self.joint_pos_limits = self.setting("joint_pos_limits", layout.joint_pos_limits.repeat(n, 1, 1))
+        self.soft_joint_pos_limits = self.setting("soft_joint_pos_limits", layout.soft_joint_pos_limits.repeat(n, 1, 1))
+        self.soft_joint_vel_limits = self.setting("soft_joint_vel_limits", layout.velocity_limits.repeat(n, 1))
+        self.joint_effort_limits = self.setting("joint_effort_limits", layout.effort_limits.repeat(n, 1))
         self.encoder_bias = self.setting("encoder_bias", torch.zeros(n, joints, device=device))
         self.has_encoder_bias = False
         gravity = torch.tensor(sim.model.opt.gravity.tolist(), dtype=torch.float32, device=device)
@@ -199,9 +197,7 @@ class ArticulationData(Stateful):
     joint_pos_target = alias_of("_targets.pos", "Position targets, rad, (N, J).")
     joint_vel_target = alias_of("_targets.vel", "Velocity targets, rad/s, (N, J).")
     joint_effort_target = alias_of("_targets.effort", "Feed-forward efforts, N·m, (N, J).")
-    joint_vel_limits = alias_of(
-        "soft_joint_vel_limits", "The actuators' velocity limits, rad/s, (N, J); the engine itself limits no speed."
-    )
+    joint_vel_limits = alias_of("soft_joint_vel_limits", "The actuators' velocity limits, rad/s, (N, J).")
 
     @cached_until_change
     def _motion(self) -> torch.Tensor:
@@ -234,16 +230,12 @@ class ArticulationData(Stateful):
     @cached_until_change
     def root_link_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root link's origin in world axes, m/s, (N, 3)."""
-        return (
-            self._velocities[:, 0:3] if self._floating else torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
-        )
+        return self._velocities[:, 0:3] if self._floating else torch.zeros_like(self.root_pos_w)
 
     @cached_until_change
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
-        return (
-            self._velocities[:, 3:6] if self._floating else torch.zeros(self._sim.num_envs, 3, device=self._sim.device)
-        )
+        return self._velocities[:, 3:6] if self._floating else torch.zeros_like(self.root_pos_w)
 
     @cached_until_change
     def root_ang_vel_w(self) -> torch.Tensor:
@@ -258,8 +250,7 @@ class ArticulationData(Stateful):
     @cached_until_change
     def root_lin_vel_b(self) -> torch.Tensor:
         """Velocity of the root body's centre of mass in link axes, m/s, (N, 3): v_link + omega x c."""
-        found: torch.Tensor = self.root_link_lin_vel_b + torch.linalg.cross(self.root_ang_vel_b, self.com_b)
-        return found
+        return self.root_link_lin_vel_b + torch.cross(self.root_ang_vel_b, self.com_b, dim=-1)
 
     @cached_until_change
     def root_lin_vel_w(self) -> torch.Tensor:
@@ -314,18 +305,14 @@ class ArticulationData(Stateful):
     @cached_until_change
     def joint_pos_before(self) -> torch.Tensor:
         """Joint positions from which the last physics step started, rad, (N, J)."""
-        found: torch.Tensor = self._qpos_before.index_select(1, self._qpos_ids).float()
-        return found
+        return self._qpos_before.index_select(1, self._qpos_ids).float()
 
     @cached_until_change
     def joint_vel_before(self) -> torch.Tensor:
         """Joint velocities from which the last physics step started, rad/s, (N, J)."""
-        found: torch.Tensor = self._qvel_before.index_select(1, self._dof_ids).float()
-        return found
+        return self._qvel_before.index_select(1, self._dof_ids).float()
 
-    applied_torque = alias_of(
-        "_applied_torque", "Clipped actuator torque at the last physics step's start, N·m, (N, J); 0 after a reset."
-    )
+    applied_torque = alias_of("_applied_torque", "Clipped torque of the last physics step, N·m, (N, J); 0 at a reset.")
 
     @cached_until_change
     def computed_torque(self) -> torch.Tensor:
@@ -345,8 +332,7 @@ class ArticulationData(Stateful):
     @cached_until_change
     def body_rot_w(self) -> torch.Tensor:
         """Rotation matrices from the axes of the robot's links to world axes, (N, B, 3, 3)."""
-        found: torch.Tensor = self._output("xmat")[:, self._body_ids].unflatten(-1, (3, 3)).float()
-        return found
+        return self._output("xmat")[:, self._body_ids].float().view(self._sim.num_envs, -1, 3, 3)
 
     @cached_until_change
     def body_ang_vel_w(self) -> torch.Tensor:
@@ -360,8 +346,7 @@ class ArticulationData(Stateful):
         velocity = self._output("cvel")[:, self._body_ids]
         tree_com = self._output("subtree_com")[:, self._root_id].unsqueeze(1)
         offset = self._output("xipos")[:, self._body_ids] - tree_com
-        found: torch.Tensor = (velocity[..., 3:6] + torch.linalg.cross(velocity[..., 0:3], offset)).float()
-        return found
+        return (velocity[..., 3:6] + torch.cross(velocity[..., 0:3], offset, dim=-1)).float()
 
     device = alias_of("_sim.device", "Device of the tensors.")
 

@@ -36,7 +36,6 @@ class BatchEngine(Engine):
 
     @classmethod
     def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
-        """Start N simulations of a model."""
         del robot
         return cls(model, num_envs, sim.nthread)
 
@@ -70,7 +69,6 @@ class BatchEngine(Engine):
 
     @property
     def motion(self) -> torch.Tensor:
-        """Positions (qpos) followed by velocities (qvel) of all simulations, (N, nq + nv), as a view of ``state``."""
         return self._motion
 
     def view(self, name: str) -> torch.Tensor:
@@ -143,7 +141,6 @@ class BatchEngine(Engine):
         self._still[(geom_group,)] = StaticGeoms(self.model, geom_group, alone, self.nthread)
 
     def state_dict(self) -> dict[str, object]:
-        """Return the engine's state; raise ConfigError if a term expanded a field with MuJoCo's ``Batch.expand``."""
         if hidden := sorted(vars(self.batch)["_expanded"].keys() - self.expanded.keys()):
             raise ConfigError(
                 f"a term called MuJoCo's 'Batch.expand' for {' and '.join(hidden)}, which checkpoints do not save",

@@ -9,10 +9,8 @@ from typing import ClassVar
 import mujoco
 import torch
 
-from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.sim.options import RobotOptions, SimOptions, engine_kind
+from wheelleg_exp.sim.options import RobotOptions, SimOptions
 from wheelleg_exp.state import Stateful
-from wheelleg_exp.terms.term_binding import TARGET, resolve_target
 
 WRENCHES = "wrenches"
 
@@ -153,16 +151,3 @@ class Engine(Stateful, ABC):
         ``alone`` returns a MuJoCo model that contains only the geoms of the group ``geom_group``, with unchanged names.
         """
         del geom_group, alone
-
-
-def start_engine(model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions) -> Engine:
-    """Start the engine that ``env.sim.engine`` selects.
-
-    Its module is imported only now, because it can import large optional packages.
-    """
-    key, node = "env.sim.engine", {} if isinstance(sim.engine, str) else sim.engine
-    arguments = {name: value for name, value in node.items() if name != TARGET}
-    kind = resolve_target(engine_kind(sim.engine).target, key)
-    if not (isinstance(kind, type) and issubclass(kind, Engine)):
-        raise ConfigError(f"'{kind.__name__}' is not an Engine", key=key, expected="a _target_ of Engine")
-    return kind.from_config(model, num_envs, sim, robot, **arguments)

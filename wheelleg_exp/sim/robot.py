@@ -72,9 +72,7 @@ class Robot(Stateful):
         return blamed(f"{ACTUATORS_KEY}.{group}", self.actuators[group], has_worked=has_worked)
 
     floating = alias_of("layout.floating", "Whether the base moves freely.")
-    default_root_pos = alias_of(
-        "layout.default_root_pos", "Root link at a reset, m, from the environment's origin, (3,)."
-    )
+    default_root_pos = alias_of("layout.default_root_pos", "Root link in its environment at a reset, m, (3,).")
     default_root_quat = alias_of("layout.default_root_quat", "Orientation of the root link at a reset, wxyz, (4,).")
 
     def connect(self, sim: Engine, stream: Callable[[str], torch.Generator]) -> None:
@@ -142,9 +140,7 @@ class Robot(Stateful):
         chosen = [g for g, body in enumerate(model.geom_bodyid.tolist()) if body in bodies and solid[g]]
         return torch.tensor(chosen, dtype=torch.long, device=self._sim.device)
 
-    permanent_wrench = alias_of(
-        "_wrench", "Forces and torques at the CoM of the bodies, link axes, as the two columns of (N, B, 3, 2)."
-    )
+    permanent_wrench = alias_of("_wrench", "Forces and torques on the bodies' CoM, link axes: columns of (N, B, 3, 2).")
 
     def begin_control_step(self) -> None:
         """Start a control step: its first physics step passes all targets to the actuators."""

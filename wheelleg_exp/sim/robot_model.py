@@ -15,7 +15,6 @@ from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings, constraint
 from wheelleg_exp.errors import AssetError, ConfigError
 from wheelleg_exp.sim.names import order_errors, values_by_name
 from wheelleg_exp.sim.options import RobotOptions
-from wheelleg_exp.sim.terrain import GROUND_GROUP, is_ground
 from wheelleg_exp.state import Stateful
 
 _ROUNDING = 0.01  # rad or m
@@ -117,9 +116,6 @@ class JointTargets(Stateful):
             self.buffer(name, getattr(self, name))
 
 
-_ROBOT_GROUP = 1  # Robot geoms must not be in the ground's geom group, and move to geom group 1.
-
-
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
     """Return a robot and its root body's name; raise AssetError unless the MJCF file contains exactly one robot.
 
@@ -140,24 +136,6 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
         raise AssetError(message, key=str(mjcf), expected="exactly one tree of moving bodies")
     roots[0].simple = 0  # MuJoCo ignores changes of a body's centre of mass if body.simple is 1.
     return spec, str(roots[0].name)
-
-
-def set_self_collisions(spec: mujoco.MjSpec, wanted: bool | None) -> None:
-    """Enable or disable self-collisions of the robot; body pairs that the robot's MJCF file excludes never collide."""
-    if wanted is None:
-        return
-    for geom in spec.geoms:
-        if geom.contype or geom.conaffinity:
-            geom.contype, geom.conaffinity = int(wanted), 1
-
-
-def leave_group_to_ground(spec: mujoco.MjSpec) -> None:
-    """Move the robot's geoms out of the ground's geom group, so that rays can select the ground by its geom group."""
-    for geom in spec.geoms:
-        if is_ground(geom.name):
-            geom.group = GROUND_GROUP
-        elif geom.group == GROUND_GROUP:
-            geom.group = _ROBOT_GROUP
 
 
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:

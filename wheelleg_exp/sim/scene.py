@@ -16,17 +16,18 @@ import torch
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.actuators import ActuatorBase
-from wheelleg_exp.sim.engine import WRENCHES, start_engine
-from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions
+from wheelleg_exp.sim.engine import WRENCHES, Engine
+from wheelleg_exp.sim.options import RobotOptions, SceneOptions, SimOptions, engine_kind
 from wheelleg_exp.sim.robot import ACTUATORS_KEY, Robot
-from wheelleg_exp.sim.robot_model import leave_group_to_ground, read_robot, set_self_collisions, turn_root_frame
+from wheelleg_exp.sim.robot_model import read_robot, turn_root_frame
 from wheelleg_exp.sim.sensors import ContactSensor, SensorBase, require_base_called
 from wheelleg_exp.sim.terrain import GROUND_GROUP, TERRAIN_KEY, TerrainBase, combined_friction, is_ground
 from wheelleg_exp.state import Stateful
+from wheelleg_exp.terms.term_binding import TARGET, resolve_target
 from wheelleg_exp.terms.term_errors import blamed
 
 RobotState = Mapping[str, Mapping[str, Mapping[str, torch.Tensor]]]
-_ROBOT_PRIORITY = 1
+_ROBOT_PRIORITY, _ROBOT_GROUP = 1, 1
 _FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a model skips its fields of file paths.
 
 
@@ -63,20 +64,12 @@ class Scene(Stateful):
         spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{sim.integrator.upper()}")
         spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{sim.solver.upper()}")
         spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{sim.cone.upper()}")
-        set_self_collisions(spec, robot.self_collisions)
         with blamed(TERRAIN_KEY, terrain):
             terrain.read_files(mjcf.parent)
             terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
             terrain.lay(spec)
         self.env_origins = self.buffer("env_origins", terrain.env_origins)
-        leave_group_to_ground(spec)
-        # In each contact of robot and ground, PhysX combines the two friction coefficients.
-        # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
-        ground = self.terrain.friction(robot.friction_source)
-        for geom in spec.geoms:
-            if not is_ground(geom.name) and (geom.contype or geom.conaffinity):
-                geom.priority = _ROBOT_PRIORITY
-                geom.friction[0] = combined_friction(geom.friction[0], ground, robot.friction_combine_mode)
+        _set_geoms(spec, robot, terrain.friction(robot.friction_source))
         for name, actuator in actuators.items():
             with blamed(f"{ACTUATORS_KEY}.{name}", actuator):
                 actuator.read_files(mjcf.parent, f"{ACTUATORS_KEY}.{name}", self.device)
@@ -93,9 +86,15 @@ class Scene(Stateful):
 
     def play(self) -> None:
         """Compile the spec, start the simulations, and put the robot into its default state."""
-        self.model = self.spec.compile()
+        self.model, options = self.spec.compile(), self._sim_options
         self._compiled = _checksums(self.model)
-        self.sim = start_engine(self.model, self.num_envs, self._sim_options, self.robot.options)
+        key, node = "env.sim.engine", {} if isinstance(options.engine, str) else options.engine
+        arguments = {name: value for name, value in node.items() if name != TARGET}
+        # The module of an engine is imported only now, because it can import large optional packages.
+        kind = resolve_target(engine_kind(options.engine).target, key)
+        if not (isinstance(kind, type) and issubclass(kind, Engine)):
+            raise ConfigError(f"'{kind.__name__}' is not an Engine", key=key, expected="a _target_ of Engine")
+        self.sim = kind.from_config(self.model, self.num_envs, options, self.robot.options, **arguments)
         self.child("sim", self.sim, saved=False)
         self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
         unstable = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
@@ -274,6 +273,22 @@ class Scene(Stateful):
         self.sim.load_state_dict(saved["sim"])
         self._unstable = self.sim.unstable()
         super().load_state_dict(saved)
+
+
+def _set_geoms(spec: mujoco.MjSpec, robot: RobotOptions, ground_friction: float) -> None:
+    """Set the geom groups, by which rays select the ground, and the collisions and friction of the robot's geoms."""
+    for geom in spec.geoms:
+        if is_ground(geom.name):
+            geom.group = GROUND_GROUP
+            continue
+        geom.group = _ROBOT_GROUP if geom.group == GROUND_GROUP else geom.group
+        if geom.contype or geom.conaffinity:
+            if robot.self_collisions is not None:  # Body pairs that the robot's file excludes never collide.
+                geom.contype, geom.conaffinity = int(robot.self_collisions), 1
+            # In each contact of robot and ground, PhysX combines the two friction coefficients.
+            # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
+            geom.priority = _ROBOT_PRIORITY
+            geom.friction[0] = combined_friction(geom.friction[0], ground_friction, robot.friction_combine_mode)
 
 
 def model_digest(model: mujoco.MjModel) -> str:

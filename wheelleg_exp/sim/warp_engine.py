@@ -97,7 +97,6 @@ class WarpEngine(Engine):
 
     @classmethod
     def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
-        """Start N simulations of a model."""
         del robot
         return cls(model, num_envs, sim)
 

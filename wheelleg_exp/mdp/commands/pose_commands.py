@@ -86,7 +86,14 @@ class UniformPose2dCommand(RangedCommand):
         drawn = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
         self.pos_command_w[env_ids] = self._places(env_ids, drawn[:, :2])
         self.pos_command_w[env_ids, 2] += self.robot.data.default_root_state[env_ids, 2]
-        self.heading_command_w[env_ids] = self._way(env_ids) if self._simple_heading else drawn[:, 2]
+        heading = drawn[:, 2]
+        if self._simple_heading:  # Drive towards or away from the position, whichever needs less turning.
+            x, y, _ = (self.pos_command_w[env_ids] - self.robot.data.root_pos_w[env_ids]).unbind(dim=1)
+            forth = torch.atan2(y, x)
+            back = rotation.wrap_to_pi(forth + torch.pi)
+            turns = (rotation.wrap_to_pi(yaw - self.robot.data.heading_w[env_ids]).abs() for yaw in (forth, back))
+            heading = torch.where(torch.lt(*turns), forth, back)
+        self.heading_command_w[env_ids] = heading
 
     def post_process(self) -> None:
         data = self.robot.data
@@ -99,15 +106,6 @@ class UniformPose2dCommand(RangedCommand):
         places = self._env.scene.env_origins[env_ids]
         places[:, :2] += drawn
         return places
-
-    def _way(self, env_ids: torch.Tensor) -> torch.Tensor:
-        """Return the yaw, rad, (n,), of the direction towards or away from the target, whichever needs less turning."""
-        data = self.robot.data
-        way = self.pos_command_w[env_ids] - data.root_pos_w[env_ids]
-        forth = torch.atan2(way[:, 1], way[:, 0])
-        back = rotation.wrap_to_pi(forth + torch.pi)
-        turns = (rotation.wrap_to_pi(yaw - data.heading_w[env_ids]).abs() for yaw in (forth, back))
-        return torch.where(torch.lt(*turns), forth, back)
 
 
 class TerrainBasedPose2dCommand(UniformPose2dCommand):
@@ -329,13 +327,11 @@ class JumpCommand(CommandTerm):
 
     def post_process(self) -> None:
         if self._velocity_command is not None:
-            self.start(self._is_before_step(self._velocity_command) & (self._command[:, 0] == 0.0))
+            data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
+            way = self._env.command_manager.get_command(self._velocity_command)[:, :1] * self._ahead_s
+            forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)
+            here = data.root_pos_w[:, :2]
+            is_before_step = height_at(here + forwards * way) - height_at(here) > self._rise
+            self.start(is_before_step & (self._command[:, 0] == 0.0))
         left = (self.time_left / self.window_s).clamp(min=0.0)
         self._command[:, 0] = left.masked_fill(~self.is_jumping_env | (left > 1.0), 0.0)
-
-    def _is_before_step(self, velocity_command: str) -> torch.Tensor:
-        data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
-        way = self._env.command_manager.get_command(velocity_command)[:, :1] * self._ahead_s
-        forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)
-        here = data.root_pos_w[:, :2]
-        return height_at(here + forwards * way) - height_at(here) > self._rise

@@ -70,7 +70,7 @@ class ActuatorBase(Stateful):
     ) -> None:
         self.joint_names_expr = [joint_names_expr] if isinstance(joint_names_expr, str) else list(joint_names_expr)
         values = (stiffness, damping, effort_limit, velocity_limit, armature, friction, viscous_friction)
-        self._config: dict[str, Any] = dict(zip((*NEEDED, *_MECHANICAL), values, strict=True))
+        self._config: dict[str, PerJoint | None] = dict(zip((*NEEDED, *_MECHANICAL), values, strict=True))
         self._delay_bounds = delay
         self.delay: TargetDelay | None = self.child("delay", None)
 
@@ -88,7 +88,8 @@ class ActuatorBase(Stateful):
         self._columns = narrowed(indices, device)
         per_joint: dict[str, list[Any]] = {}
         for name, values in self._config.items():
-            per_joint[name] = values_by_name(values, self.joint_names, None, key=f"{key}.{name}", what="joint")
+            given = {} if values is None else values
+            per_joint[name] = values_by_name(given, self.joint_names, None, key=f"{key}.{name}", what="joint")
             for error in valueless_errors(values, self.joint_names, f"{key}.{name}") if name not in _MECHANICAL else ():
                 raise error
         self.stiffness, self.damping, self.effort_limit, self.velocity_limit = (
@@ -109,7 +110,7 @@ class ActuatorBase(Stateful):
                 joint.damping = [viscous_friction, 0.0, 0.0]  # The damping torque is a polynomial of the joint speed.
             self._shape(spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT), index)
 
-    def _shape(self, actuator: Any, index: int) -> None:
+    def _shape(self, actuator: mujoco.MjsActuator, index: int) -> None:
         """Set the gains of one joint's MuJoCo actuator; ``index`` is the joint's index in the actuator group."""
         raise NotImplementedError
 

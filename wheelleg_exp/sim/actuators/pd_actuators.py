@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import mujoco
 import torch
@@ -25,7 +25,7 @@ class ImplicitActuator(ActuatorBase):
 
     reads_state = False
 
-    def _shape(self, actuator: Any, index: int) -> None:
+    def _shape(self, actuator: mujoco.MjsActuator, index: int) -> None:
         kp, kd, limit = (self._per_joint[name][index] for name in ("stiffness", "damping", "effort_limit"))
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = 1.0, -kp, -kd
@@ -45,7 +45,7 @@ class ImplicitActuator(ActuatorBase):
 class IdealPDActuator(ActuatorBase):
     """Explicit PD: a torque that is computed from the state before each physics step, clipped, and applied."""
 
-    def _shape(self, actuator: Any, index: int) -> None:
+    def _shape(self, actuator: mujoco.MjsActuator, index: int) -> None:
         del index
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE
         actuator.gainprm[0] = 1.0

@@ -54,7 +54,6 @@ class PhysxEngine(BatchEngine):
 
     @classmethod
     def from_config(cls, model: mujoco.MjModel, num_envs: int, sim: SimOptions, robot: RobotOptions, /) -> Engine:
-        """Start N simulations of a model, and of the robot in its USD file."""
         usd = find_asset(robot.asset, key="env.robot.asset").resolve()
         return cls(model, num_envs, sim.nthread, usd, robot)
 
@@ -80,7 +79,7 @@ class PhysxEngine(BatchEngine):
         self._frames[:, 0] = 1.0
         if robot.root_frame is not None:
             self._frames[0] = torch.nn.functional.normalize(torch.tensor(robot.root_frame, dtype=self.dtype), dim=0)
-        self._contacts = [self._contact_reader(sensor, links) for sensor in self._contact_sensors()]
+        self._contacts = self._contact_readers(links)
         self._fields_changed = True
         self._last_read = torch.full_like(self._motion, torch.nan)
         # On a plane, each robot starts near the origin of PhysX, where float32 positions are finest: at 60 m, they have
@@ -293,8 +292,7 @@ class PhysxEngine(BatchEngine):
     def _lever(self, matrix: torch.Tensor, spin: torch.Tensor) -> torch.Tensor:
         """Return the velocity of the root's centre of mass minus that of the root link's origin, m/s, (N, 3)."""
         centre = self._field("body_ipos")[:, int(self._links[0])]
-        found: torch.Tensor = torch.linalg.cross(spin, rotation.rotate(matrix, centre))
-        return found
+        return torch.cross(spin, rotation.rotate(matrix, centre), dim=-1)
 
     def _send_controls(self) -> None:
         control, bias = self.view("ctrl"), self._field("actuator_biasprm")
@@ -343,24 +341,19 @@ class PhysxEngine(BatchEngine):
         qvel[:, self._dofs] = self._read("DOF_VELOCITY")
         self._last_read.copy_(self._motion)
 
-    def _contact_sensors(self) -> list[int]:
-        model = self.model
-        found = [i for i in range(model.nsensor) if model.sensor_type[i] == mujoco.mjtSensor.mjSENS_CONTACT]
-        for sensor in found:
-            other = model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_BODY and model.sensor_refid[sensor] != 0
-            if model.sensor_intprm[sensor, 0] != _NORMAL or other:
+    def _contact_readers(self, links: dict[str, str]) -> list[tuple[Any, int, bool]]:
+        model, readers = self.model, []
+        for sensor in np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_CONTACT).tolist():
+            on_ground = bool(model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_BODY)
+            if model.sensor_intprm[sensor, 0] != _NORMAL or (on_ground and model.sensor_refid[sensor] != 0):
                 what = "contact points, friction, or forces between links, which the engine 'physx' does not measure"
                 message = f"the contact sensor '{model.sensor(sensor).name}' reads {what}"
                 raise ConfigError(message, key="env.scene.sensors", expected="normal forces, or env.sim.engine=mujoco")
-        return found
-
-    def _contact_reader(self, sensor: int, links: dict[str, str]) -> tuple[Any, int, bool]:
-        model = self.model
-        prims = f"{ROBOTS}/env_*/{links[model.body(int(model.sensor_objid[sensor])).name]}"
-        on_ground = model.sensor_reftype[sensor] == mujoco.mjtObj.mjOBJ_BODY
-        ground = [f"{GROUND_PATH}/geom_*"] if on_ground else None
-        reader = self._physx.create_contact_binding([prims], ground, int(on_ground))
-        return reader, int(model.sensor_adr[sensor]), on_ground
+            prims = f"{ROBOTS}/env_*/{links[model.body(int(model.sensor_objid[sensor])).name]}"
+            ground = [f"{GROUND_PATH}/geom_*"] if on_ground else None
+            reader = self._physx.create_contact_binding([prims], ground, int(on_ground))
+            readers.append((reader, int(model.sensor_adr[sensor]), on_ground))
+        return readers
 
     def _read_contacts(self) -> None:
         for reader, start, on_ground in self._contacts:

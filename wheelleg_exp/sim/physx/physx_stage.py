@@ -181,12 +181,8 @@ def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instan
     return "\n".join(text(child) for child in children["."])
 
 
-def _numbers(values: Any) -> str:
+def _numbers(values: Iterable[float]) -> str:
     return ", ".join(f"{value:.9g}" for value in values)
-
-
-def _tuples(rows: np.ndarray) -> str:
-    return ", ".join(f"({_numbers(row)})" for row in rows)
 
 
 def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
@@ -211,7 +207,7 @@ def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
 {{
         int[] faceVertexCounts = [{", ".join("3" for _ in triangles)}]
         int[] faceVertexIndices = [{", ".join(map(str, triangles.ravel()))}]
-        point3f[] points = [{_tuples(points)}]
+        point3f[] points = [{", ".join(f"({_numbers(point)})" for point in points)}]
         uniform token physics:approximation = "none"
         uniform token subdivisionScheme = "none"
         {pose}

@@ -149,7 +149,7 @@ class RayCaster(LazySensor):
 
     def _turn(self, ids: torch.Tensor | slice) -> torch.Tensor:
         """Return the matrices (n, 3, 3) that rotate the ray pattern into world axes."""
-        matrix: torch.Tensor = self._mount.rot_w[ids]
+        matrix = self._mount.rot_w[ids]
         if self._alignment == "base":
             return matrix
         turn = torch.eye(3, device=matrix.device).repeat(len(matrix), 1, 1)

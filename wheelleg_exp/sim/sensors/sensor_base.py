@@ -10,6 +10,7 @@ import torch
 
 from wheelleg_exp.constraints import Broken, NonNegative
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.sim.class_members import TensorProperty
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import fill_rows, ids_where
 from wheelleg_exp.sim.names import match_names
@@ -150,9 +151,6 @@ class LazySensor(SensorBase):
         update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
-    def __init__(self, update_period: NonNegative = 0.0) -> None:
-        super().__init__(update_period)
-
     _data: Any
 
     def sense(self, ids: torch.Tensor | slice) -> None:
@@ -221,7 +219,7 @@ def offset_pose(offset: Offset | None, device: torch.device) -> tuple[torch.Tens
     return pos, torch.nn.functional.normalize(rot, dim=0)
 
 
-def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
+def _of_body(of_root: str, of_bodies: str, doc: str) -> TensorProperty:
     """Make a property that reads ``robot.data``: ``of_root`` for the root link, ``of_bodies`` for other links."""
 
     def get(self: Mount) -> torch.Tensor:
@@ -230,7 +228,7 @@ def _of_body(of_root: str, of_bodies: str, doc: str) -> property:
         found: torch.Tensor = getattr(data, of_root) if self.index == 0 else getattr(data, of_bodies)[:, self.index]
         return found
 
-    return property(get, doc=doc)
+    return TensorProperty(get, doc=doc)
 
 
 class Mount:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -22,8 +22,8 @@ from wheelleg_exp.sim.terrain.sub_terrains import FlatPatches
 from wheelleg_exp.sim.terrain.terrain_base import GROUND, TERRAIN_KEY, Probe, TerrainBase
 
 Array = npt.NDArray[np.float64]
-Read = tuple[Array, tuple[float, float], tuple[float, float]]  # heights, centre, edges, m
 Start = Annotated[Sequence[Annotated[Sequence[float], Length(2)]], NotEmpty()]
+_KEY = f"{TERRAIN_KEY}.file"
 _LARGEST = 1 << 25  # numbers in a file
 
 
@@ -34,6 +34,8 @@ class _FromFile(TerrainBase):
         start: origins of the environments, in turn, (x, y), m.
         flat_patches: the flat patches to find, by name.
     """
+
+    _kinds: tuple[str, ...]
 
     def __init__(
         self,
@@ -51,20 +53,17 @@ class _FromFile(TerrainBase):
 
     def read_files(self, folder: Path) -> None:
         file = folder / FOLDER / self.file
-        kind, known = file.suffix.lower(), self._kinds()
+        kind, known = file.suffix.lower(), self._kinds
         if kind not in known:
             expected, nearest = "a file that ends in " + " or ".join(known), nearest_name(kind, known)
             message = f"'{self.file}' is not a file of a ground"
-            raise ConfigError(message, key=self._key, expected=expected, nearest=nearest)
+            raise ConfigError(message, key=_KEY, expected=expected, nearest=nearest)
         with open_file(file):  # Refuse a pipe or a device.
-            heights, self._centre, self._edges = known[kind](file)
+            heights, self._centre, self._edges = self._read(file)
         self._tile = Tile(heights.astype(np.float32), boxes=False)
 
-    @property
-    def _key(self) -> str:
-        return f"{TERRAIN_KEY}.file"
-
-    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
+    def _read(self, file: Path) -> tuple[Array, tuple[float, float], tuple[float, float]]:
+        """Return the heights, the centre, and the edges of the ground, m."""
         raise NotImplementedError
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
@@ -104,6 +103,8 @@ class HeightField(_FromFile):
         height_range: heights of the values 0 and 1 (black and white in an image), m; null reads the values as metres.
     """
 
+    _kinds = (".npy", ".png")
+
     def __init__(
         self,
         file: PathBelow,
@@ -113,24 +114,31 @@ class HeightField(_FromFile):
         dynamic_friction: NonNegative,
         restitution: Share,
         start: Start = ((0.0, 0.0),),
-        flat_patches: Mapping[str, Any] | None = None,
+        flat_patches: Mapping[str, FlatPatches] | None = None,
     ) -> None:
         super().__init__(file, start, flat_patches, static_friction, dynamic_friction, restitution)
         self._size = (float(size[0]), float(size[1]))
         self._range = height_range
 
-    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
-        return {".npy": self._npy, ".png": self._png}
+    def _read(self, file: Path) -> tuple[Array, tuple[float, float], tuple[float, float]]:
+        values = self._npy(file) if file.suffix.lower() == ".npy" else self._png(file)
+        good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
+        if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
+            message = f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}"
+            raise ConfigError(message, key=_KEY, expected="two or more rows and columns of finite numbers")
+        if self._range is not None:
+            low, high = self._range
+            heights = low + (high - low) * heights
+        return heights, (0.0, 0.0), self._size
 
-    def _npy(self, file: Path) -> Read:
+    def _npy(self, file: Path) -> np.ndarray:
         try:
-            mapped = np.load(file, mmap_mode="r", allow_pickle=False)
+            return np.asarray(np.load(file, mmap_mode="r", allow_pickle=False))
         except (ValueError, OSError, EOFError) as error:
             message = f"the file '{self.file}' is not a NumPy array"
-            raise ConfigError(message, key=self._key, expected="a .npy file") from error
-        return self._scaled(mapped)
+            raise ConfigError(message, key=_KEY, expected="a .npy file") from error
 
-    def _png(self, file: Path) -> Read:
+    def _png(self, file: Path) -> np.ndarray:
         from matplotlib.image import imread
         from PIL.PngImagePlugin import PngImageFile
 
@@ -141,18 +149,8 @@ class HeightField(_FromFile):
             picture = imread(file)
         except Exception as error:  # Matplotlib raises errors of many types for a damaged image file.
             message = f"the file '{self.file}' is not a readable image of at most {_LARGEST:,} pixels"
-            raise ConfigError(message, key=self._key, expected="a .png file") from error
-        return self._scaled((picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T)
-
-    def _scaled(self, values: npt.NDArray[Any]) -> Read:
-        good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
-        if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
-            message = f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}"
-            raise ConfigError(message, key=self._key, expected="two or more rows and columns of finite numbers")
-        if self._range is not None:
-            low, high = self._range
-            heights = low + (high - low) * heights
-        return heights, (0.0, 0.0), self._size
+            raise ConfigError(message, key=_KEY, expected="a .png file") from error
+        return (picture if picture.ndim == 2 else picture[..., :3].mean(axis=-1))[::-1].T
 
 
 class Mesh(_FromFile):
@@ -167,6 +165,8 @@ class Mesh(_FromFile):
         scale: length of one unit of the file, m.
     """
 
+    _kinds = (".obj", ".stl")
+
     def __init__(
         self,
         file: PathBelow,
@@ -176,15 +176,12 @@ class Mesh(_FromFile):
         restitution: Share,
         scale: Positive = 1.0,
         start: Start = ((0.0, 0.0),),
-        flat_patches: Mapping[str, Any] | None = None,
+        flat_patches: Mapping[str, FlatPatches] | None = None,
     ) -> None:
         super().__init__(file, start, flat_patches, static_friction, dynamic_friction, restitution)
         self._cell, self._scale = horizontal_scale, scale
 
-    def _kinds(self) -> dict[str, Callable[[Path], Read]]:
-        return {".obj": self._from_above, ".stl": self._from_above}
-
-    def _from_above(self, file: Path) -> Read:
+    def _read(self, file: Path) -> tuple[Array, tuple[float, float], tuple[float, float]]:
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
         def add_to(spec: mujoco.MjSpec) -> None:
@@ -198,7 +195,7 @@ class Mesh(_FromFile):
         except ValueError as error:
             reason = " ".join(str(error).split())
             message = f"the file '{self.file}' is not a readable mesh: {reason}"
-            raise ConfigError(message, key=self._key, expected="a mesh") from error
+            raise ConfigError(message, key=_KEY, expected="a mesh") from error
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, model.geom_quat[0])
         corners = model.mesh_vert @ turned.reshape(3, 3).T + model.geom_pos[0]
