@@ -142,15 +142,6 @@ def test_commands_grow_once_a_longest_episode_while_they_are_followed(one):
     assert v.ranges["lin_vel_x"] == [-0.25, 0.4]
 
 
-def test_drawn_commands_lie_in_the_new_range(one):
-    env = one(**LEVELS)
-    v = env.command_manager.get_term("v")
-    v.ranges["lin_vel_x"] = [5.0, 6.0]
-    env.reset()
-    assert ((v.command[:, 0] >= 5.0) & (v.command[:, 0] <= 6.0)).all()
-    assert (v.command[:, 2].abs() <= 1.0).all()
-
-
 @pytest.mark.parametrize(("name", "limits"), [("lin_vel_z", [-1.0, 1.0]), ("lin_vel_x", [-0.1, 1.0])])
 def test_limits_must_contain_the_ranges(one, name, limits):
     with pytest.raises(ConfigError) as caught:
@@ -258,7 +249,7 @@ def test_a_changed_argument_does_not_replace_the_state_of_a_term(one):
     env.reset(env_ids=T([0]))
     assert v.time_left is tensor
     assert (v.time_left.tolist(), v.ranges["lin_vel_x"]) == (pytest.approx([7.0, 0.94, 0.94, 0.94]), [5.0, 6.0])
-    assert float(v.command[0, 0]) >= 5.0
+    assert 5.0 <= float(v.command[0, 0]) <= 6.0  # drawn from the new range
 
 
 def test_an_argument_of_a_wrong_type_is_rejected(one):

@@ -275,15 +275,6 @@ def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
     torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, turned, atol=1e-5, rtol=0)
 
 
-def test_two_pushes_in_a_row_add_up(start_env):
-    env = start_env(events={"p": event("push_by_adding_velocity", mode="custom", velocity_range=RANGES)})
-    for _ in range(2):
-        env.apply_event("custom", torch.tensor([3]))
-    velocity = env.scene.robot.data.root_lin_vel_w
-    torch.testing.assert_close(velocity[3], torch.tensor([2.0, -4.0, 0.0]), atol=1e-5, rtol=0)
-    assert velocity[:3].abs().max() == 0
-
-
 def test_a_push_shows_in_the_observation_of_the_same_step(start_env):
     fields = {"mode": "interval", "interval_range_s": [0.04, 0.04], "velocity_range": {"x": [3.0, 3.0]}}
     events_ = {"r": event("reset_scene_to_default", mode="reset"), "p": event("push_by_adding_velocity", **fields)}

@@ -157,14 +157,6 @@ def test_a_torque_that_a_fast_motor_cannot_give_is_out_of_its_limit(make_env, st
     assert terminated.tolist() == [False, True, False, False]
 
 
-def test_a_torque_that_is_cut_is_out_of_its_limit(start_env):
-    env = _ended_by(start_env, "joint_effort_out_of_limit")
-    action = torch.zeros(4, 4)
-    action[1, 0] = 2.0  # an error of 1 rad at 20 N·m/rad, with a limit of 4 N·m
-    *_, terminated, _, _ = env.step(action)
-    assert terminated.tolist() == [False, True, False, False]
-
-
 @pytest.mark.parametrize("field", ["qvel", "qpos"])
 def test_a_state_that_is_not_finite_ends_its_environment_only(start_env, field, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

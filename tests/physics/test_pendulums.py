@@ -62,24 +62,6 @@ def test_every_swing_takes_the_elliptic_integral_of_its_amplitude(world):
     assert max(exact) > 1.3 * SLOW  # The period depends on the amplitude.
 
 
-def test_a_centre_of_mass_that_an_event_moves_starts_the_pendulum(world):
-    shift, dt = 0.04, 0.001
-    chosen = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "body_names": ["bob"]}
-    moved = at_reset("randomize_rigid_body_com", com_range={"x": [shift, shift]}, asset_cfg=chosen)
-    env = world(PENDULUM, dt, "fixed", observations=seen("joint_vel"), events={"moved": moved})
-    velocity = watch(env, 1)["joint_vel"][1, 0, 0]
-    expected = MASS * G * shift / (OWN + MASS * (shift**2 + LENGTH**2)) * dt
-    assert float(velocity) == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("factor", [0.5, 1.0, 3.0])
-def test_mass_that_an_event_scales_changes_no_period(world, factor):
-    heavier = at_reset("randomize_rigid_body_mass", mass_distribution_params=[factor, factor], operation="scale")
-    events = {"heavier": heavier, "lift": _lifted(0.02, 0.02)}
-    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=events)
-    assert _period(watch(env, 260)["joint_pos"][:, 0, 0], 0.01) == pytest.approx(SLOW, rel=1e-4)
-
-
 def _energy(angle, speed):
     (q, bend), (w, turn) = angle.unbind(-1), speed.unbind(-1)
     both = w + turn

@@ -1,5 +1,3 @@
-import math
-
 import pytest
 import torch
 
@@ -45,16 +43,6 @@ def test_each_step_leaves_a_share_of_the_error(world, kind, left, decimation):
     n = decimation * torch.arange(steps + 1, dtype=torch.float64)
     expected = WANTED * (1 - left(share) ** n)
     torch.testing.assert_close(_speeds(world, kind, dt, steps, decimation), expected, atol=2e-5, rtol=0)
-
-
-@pytest.mark.parametrize("kind", ["ImplicitActuator", "IdealPDActuator"])
-def test_the_speed_comes_by_the_time_constant_of_inertia_over_damping(world, kind):
-    dt, steps = 0.0005, 200  # 0.1 s is one time constant.
-    speed = _speeds(world, kind, dt, 1, steps)[-1]
-    expected = WANTED * (1 - math.exp(-DAMPING / INERTIA * dt * steps))
-    assert float(speed) == pytest.approx(expected, rel=2e-3)
-    assert float(speed) != pytest.approx(expected, rel=1e-4)
-    assert (float(speed) < expected) == (kind == "ImplicitActuator")
 
 
 @pytest.mark.parametrize("kind", ["ImplicitActuator", "IdealPDActuator"])

@@ -41,6 +41,15 @@ def flying(env, spin=0.0):
     env.scene.refresh()
 
 
+def lift(env, height, quat=None):
+    """Place the robots at a height above their origins, m."""
+    state = env.scene.robot.data.default_root_state.clone()
+    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, height])
+    state[:, 3:7] = state[:, 3:7] if quat is None else quat
+    env.scene.robot.write_root_state_to_sim(state)
+    env.scene.refresh()
+
+
 def advance(env, steps):
     for _ in range(steps):
         env.scene.write_data_to_sim()
@@ -162,11 +171,7 @@ def test_a_wheel_counts_its_turns():
 
 def test_the_ground_carries_the_weight():
     env = build("physx")
-    robot = env.scene.robot
-    state = robot.data.default_root_state.clone()
-    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.12])
-    robot.write_root_state_to_sim(state)
-    env.scene.refresh()
+    lift(env, 0.12)
     lifted = []
     for _ in range(360):
         advance(env, 1)
@@ -205,10 +210,7 @@ def test_a_drive_reaches_its_speed_by_the_time_constant_of_armature_over_damping
 def test_a_robot_lands_when_the_parabola_meets_the_ground(engine):
     env = build(engine)
     robot = env.scene.robot
-    state = robot.data.default_root_state.clone()
-    state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.5])
-    robot.write_root_state_to_sim(state)
-    env.scene.refresh()
+    lift(env, 0.5)
     wheels, _ = robot.find_bodies([".*_wheel_link"])
     gap = float(robot.data.body_pos_w[:, wheels, 2].min()) - RADIUS
     steps = 0
@@ -222,14 +224,9 @@ def test_a_robot_with_stiff_joints_topples_as_in_mujoco():
     keys, tilts = ("stiffness=50.0", "damping=0.5", "effort_limit=50.0"), []
     for engine in ENGINES:
         env = build(engine, *(f"env.robot.actuators.{group}.{key}" for group in ("legs", "wheels") for key in keys))
-        robot = env.scene.robot
-        state = robot.data.default_root_state.clone()
-        state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.07])
-        pitch = torch.tensor([0.01, -0.01])
-        state[:, 3:7] = torch.stack(((pitch / 2.0).cos(), 0.0 * pitch, (pitch / 2.0).sin(), 0.0 * pitch), dim=1)
-        robot.write_root_state_to_sim(state)
+        robot, pitch = env.scene.robot, torch.tensor([0.01, -0.01])
         robot.set_joint_position_target(robot.data.default_joint_pos)
-        env.scene.refresh()
+        lift(env, 0.07, torch.stack(((pitch / 2.0).cos(), 0.0 * pitch, (pitch / 2.0).sin(), 0.0 * pitch), dim=1))
         advance(env, 36)
         tilts.append(float(robot.data.projected_gravity_b[:, 0].asin().diff()))
     assert tilts[0] < -0.06  # the tilts differed by 0.02
@@ -296,14 +293,9 @@ def test_a_robot_rests_on_a_collider_above_meshes_in_an_instance(tmp_path, text)
         words = ["task=stand", "robot=physical", "env.num_envs=1", f"env.sim.engine={engine}"]
         words += [f"env.robot.asset={tmp_path / 'robot.usda'}"]
         env = build_env(compose(words).config)
-        robot = env.scene.robot
-        state = robot.data.default_root_state.clone()
-        state[:, :3] = env.scene.env_origins + torch.tensor([0.0, 0.0, 0.14])
-        state[:, 3:7] = torch.tensor([[0.0, 1.0, 0.0, 0.0]])  # upside down: it falls by 1 cm
-        robot.write_root_state_to_sim(state)
-        env.scene.refresh()
+        lift(env, 0.14, torch.tensor([[0.0, 1.0, 0.0, 0.0]]))  # upside down: it falls by 1 cm
         advance(env, 60)
-        heights.append(robot.data.root_pos_w[0, 2].item())
+        heights.append(env.scene.robot.data.root_pos_w[0, 2].item())
     assert heights == pytest.approx([0.13, 0.13], abs=0.002)
 
 
@@ -346,12 +338,9 @@ def test_a_wheel_reaches_a_target_several_turns_away(turns):
     assert torch.allclose(robot.data.joint_pos[:, wheels], torch.tensor(turns * 2.0 * math.pi), atol=0.05)
 
 
-def test_a_robot_with_a_fixed_base_is_refused():
+def test_what_physx_cannot_simulate_is_refused():
     with pytest.raises(ConfigError, match=r"env\.robot\.base"):
         build("physx", "env.robot.base=fixed")
-
-
-def test_a_field_without_counterpart_in_physx_is_refused():
     with pytest.raises(ConfigError, match="jnt_stiffness"):
         build("physx").scene.sim.expand("jnt_stiffness")
 

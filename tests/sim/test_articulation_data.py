@@ -45,7 +45,10 @@ def matrix(quat):
     return found
 
 
-def test_poses_and_velocities_of_bodies_are_mujocos(env):
+@pytest.mark.parametrize("steps", [0, 5])
+def test_poses_and_velocities_of_bodies_are_mujocos(env, steps):
+    for _ in range(steps):
+        env.step(torch.ones(N, 4))
     robot, model = env.scene.robot, env.scene.model
     state = robot.data
     for i in range(N):

@@ -47,25 +47,6 @@ def points(data, kind):
     return data.pos_w.view(-1, 1, 1, 3) + torch.einsum("nij,nhwj->nhwi", turn, rays * data.output[kind])
 
 
-def test_distances_to_a_plane_are_those_of_its_formula(make):
-    env = make(data_types=["depth", "distance_to_image_plane", "distance_to_camera"], fovy=0.8)
-    data = place(env, [0.3, -0.2, 1.3], roll=0.25, pitch=-0.3, yaw=1.1)
-    edge = 15 / math.tan(0.4)  # the focal length, px
-    v, u = torch.meshgrid(torch.arange(30) - 14.5, torch.arange(40) - 19.5, indexing="ij")
-    # The picture's upward axis is x, and its axis to the right is -y.
-    ahead = torch.stack((-v, -u, torch.full_like(u, -edge)), dim=-1) / edge
-    c, s = math.cos, math.sin
-    # This is the last row of the matrix Rz Ry Rx.
-    lowest = torch.tensor([-s(-0.3), c(-0.3) * s(0.25), c(-0.3) * c(0.25)])
-    along = ((1.3 - 0.2 * lowest[2]) / -(ahead @ lowest)).unsqueeze(-1)
-    assert data.output["depth"].shape == (2, 30, 40, 1)
-    for kind in ("depth", "distance_to_image_plane"):
-        torch.testing.assert_close(data.output[kind][1], along, atol=0, rtol=1e-4)
-    ray = along * ahead.norm(dim=-1, keepdim=True)
-    torch.testing.assert_close(data.output["distance_to_camera"][0], ray, atol=0, rtol=1e-4)
-    assert along.max() > 1.3 * along.min()
-
-
 def test_each_pixel_shows_a_point_of_its_surface(make):
     optics = {"focal_length": 20.0, "horizontal_aperture": 30.0, "vertical_aperture": 40.0}
     shift = {"horizontal_aperture_offset": 0.15, "vertical_aperture_offset": -0.1}

@@ -143,14 +143,6 @@ def test_the_first_substep_of_a_control_step_is_within_it_and_the_last_one_befor
     assert first.tolist() == [[True, False]] * 4
 
 
-@pytest.mark.parametrize("mode", ["contact", "air"])
-def test_contacts_and_flights_that_started_within_some_time_are_first(env, mode):
-    sensor = env.scene["contact"]
-    sensor.data.times[f"current_{mode}_time"].copy_(torch.tensor([[0.0, 0.01], [0.02, 0.03], [0.0, 0.0], [9.0, 0.02]]))
-    found = getattr(sensor, f"compute_first_{mode}")(0.02)
-    assert found.tolist() == [[False, True], [True, False], [False, False], [False, True]]
-
-
 def test_with_a_period_the_last_measurement_is_held(start_env):
     node = CONTACT | {"history_length": 2}
     sensors = {"contact": node, "slow": node | {"update_period": 0.03}}

@@ -151,18 +151,6 @@ def test_a_held_measurement_changes_at_a_reset_but_not_at_other_writes(make):
     assert env.scene["scan"].data.pos_w[:, 2].tolist() == pytest.approx([0.1, 0.8, 0.1, 0.1])
 
 
-def test_reading_does_not_change_the_simulations(make):
-    read, unread = make(STEP), make(STEP)
-    for env in (read, unread):
-        env.scene.robot.write_root_velocity_to_sim(torch.tensor([[1.0, 0.3, 1.0, 1.0, 1.0, 1.0]] * 4), ALL)
-        env.scene.refresh()
-    for _ in range(20):
-        _ = read.scene["scan"].data
-        read.step(STILL)
-        unread.step(STILL)
-    assert torch.equal(read.scene.sim.state, unread.scene.sim.state)
-
-
 @pytest.mark.parametrize("period", [0.0, 0.05])
 def test_it_continues_from_its_saved_state(make, period):
     settings = {"drift_range": [-0.1, 0.1], "ray_cast_drift_range": {"z": [-0.1, 0.1]}, "update_period": period}
