@@ -11,8 +11,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
 FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
 PHYSX = {"sim/physx/physx_engine.py", "sim/physx/physx_stage.py"}
-WARP = {"sim/warp_engine.py", "sim/warp_fields.py", "sim/warp_runtime.py"}
-ENGINES = {"sim/batch_engine.py", "sim/static_rays.py", *PHYSX, *WARP}  # A physics engine knows its own device.
+WARP = {"sim/warp_engine.py", "sim/warp_runtime.py"}
+ENGINES = {"sim/batch_engine.py", *PHYSX, *WARP}  # A physics engine knows its own device.
 
 FACTORIES = frozenset(
     """arange as_tensor empty eye full linspace logspace normal ones rand randint randn randperm tensor

@@ -30,31 +30,30 @@ def parse(address: str) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def look_up(root: Any, parts: tuple[Part, ...]) -> Any:
+def look_up(root: object, parts: tuple[Part, ...]) -> object:
     """Return the value of the setting at an address relative to the object ``root``."""
     for part in parts:
         root = _below(root, part)
     return root
 
 
-def passes_a_term(root: Any, parts: tuple[Part, ...]) -> bool:
-    """Return whether an address belongs to a manager term, whose settings are in every checkpoint."""
-    return any(isinstance(look_up(root, parts[:length]), Term) for length in range(1, len(parts)))
+def terms_of(root: object, parts: tuple[Part, ...]) -> list[Term]:
+    """Return the manager terms, whose settings are in every checkpoint, to which an address belongs."""
+    passed = (look_up(root, parts[:length]) for length in range(1, len(parts)))
+    return [found for found in passed if isinstance(found, Term)]
 
 
-def write(root: Any, parts: tuple[Part, ...], value: Any) -> None:
+def write(root: object, parts: tuple[Part, ...], value: object) -> None:
     """Set the value of the setting at an address relative to the object ``root``.
 
     A new value of a term's constructor argument also takes effect in the term's existing object.
     """
     _set(root, parts, value)
-    for length in range(1, len(parts)):
-        found = look_up(root, parts[:length])
-        if isinstance(found, Term):
-            found.take_arguments()
+    for term in terms_of(root, parts):
+        term.take_arguments()
 
 
-def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
+def _set(root: object, parts: tuple[Part, ...], value: Any) -> None:
     last: Any = parts[-1]
     holder = look_up(root, parts[:-1])
     if isinstance(holder, Term):
@@ -67,7 +66,7 @@ def _set(root: Any, parts: tuple[Part, ...], value: Any) -> None:
         setattr(holder, last, value)
 
 
-def require_writable(root: Any, parts: tuple[Part, ...]) -> None:
+def require_writable(root: object, parts: tuple[Part, ...]) -> None:
     """Raise ConfigError if the setting at an address does not exist, or if a new value would have no effect."""
     look_up(root, parts)
     holder = look_up(root, parts[:-1])
@@ -103,7 +102,7 @@ def _below(holder: Any, part: Part) -> Any:
         raise ConfigError(message, key=_KEY, expected=expected, nearest=nearest) from None
 
 
-def _holder(term: Term, part: Part, *, to_write: bool = False) -> Any:
+def _holder(term: Term, part: Part, *, to_write: bool = False) -> object:
     """Return the object that stores a term's setting ``part``: the term's fields, parameters, or class instance."""
     if part in term.fields:
         if to_write and part not in _READ_AT_EACH_USE:

@@ -13,7 +13,7 @@ import torch
 from wheelleg_exp.constraints import Count, Interval, Natural, NonNegative, NotEmpty, Positive, Share
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
-from wheelleg_exp.mdp.config_address import Part, look_up, parse, passes_a_term, require_writable, write
+from wheelleg_exp.mdp.config_address import Part, look_up, parse, require_writable, terms_of, write
 from wheelleg_exp.mdp.root_motion import level_velocity
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.terms.term_binding import resolve_target
@@ -104,7 +104,7 @@ class modify_env_param(TermBase):
             raise ConfigError(message, key="modify_params", expected="the arguments of modify_fn") from None
         require_writable(env, self._parts)
         # A checkpoint already saves each manager term's settings, so a curriculum term saves only other settings.
-        self._is_saved = passes_a_term(env, self._parts)
+        self._is_saved = bool(terms_of(env, self._parts))
         self._first = None if self._is_saved else copy.deepcopy(look_up(env, self._parts))
         self._has_written = self.number("_has_written", False)
         self._value: Any = self.number("_value", None)

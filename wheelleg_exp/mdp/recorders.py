@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 
 from wheelleg_exp.managers import Env, RecorderTerm
@@ -14,7 +12,9 @@ class InitialStateRecorder(RecorderTerm):
     """Record the robot's state at the start of each episode, as one row with the key ``initial_state``."""
 
     def record_post_reset(self, env_ids: torch.Tensor) -> Recorded:
-        return "initial_state", _rows(self._env.scene.get_state(is_relative=True), env_ids)
+        state = self._env.scene.get_state(is_relative=True)["articulation"]["robot"]
+        rows = {name: value[env_ids] for name, value in state.items()}
+        return "initial_state", {"articulation": {"robot": rows}}
 
 
 class PostStepStatesRecorder(RecorderTerm):
@@ -62,9 +62,3 @@ class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
 
     def record_pre_step(self) -> Recorded:
         return "obs", self._env.observation_manager.obs_buf.get(self._group)
-
-
-def _rows(value: Any, env_ids: torch.Tensor) -> Any:
-    if isinstance(value, dict):
-        return {name: _rows(item, env_ids) for name, item in value.items()}
-    return value[env_ids]

@@ -18,6 +18,17 @@ from wheelleg_exp.sim.ids import picked
 from wheelleg_exp.sim.names import match_names
 
 
+def _length(vectors: torch.Tensor) -> torch.Tensor:
+    """Return the Euclidean norms (...) of vectors (..., k)."""
+    found: torch.Tensor = torch.linalg.vector_norm(vectors, dim=-1)
+    return found
+
+
+def _speed(velocity: torch.Tensor) -> torch.Tensor:
+    """Return the horizontal speeds (...) of velocities (..., k), whose first components are along x and y."""
+    return _length(velocity[..., :2])
+
+
 def is_alive(env: Env) -> torch.Tensor:
     """1 unless the episode failed in this step; a time-out counts as alive."""
     return (~env.termination_manager.terminated).float()
@@ -137,8 +148,7 @@ def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch
     In Isaac Lab, ``body_lin_acc_norm_sum`` is called ``body_lin_acc_l2``, although the norms are not squared.
     """
     acceleration = picked(env.scene.articulations[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
-    found: torch.Tensor = torch.linalg.vector_norm(acceleration, dim=-1).sum(dim=1)
-    return found
+    return _length(acceleration).sum(dim=1)
 
 
 body_lin_acc_l2 = body_lin_acc_norm_sum
@@ -333,9 +343,8 @@ def stand_still_joint_deviation_l1(
     env: Env, command_name: str, command_threshold: NonNegative = 0.06, asset_cfg: SceneEntityCfg = _ROBOT
 ) -> torch.Tensor:
     """Value of ``joint_deviation_l1`` while the commanded planar speed is below ``command_threshold`` (m/s), else 0."""
-    speed = torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1)
-    found: torch.Tensor = joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
-    return found
+    speed = _speed(env.command_manager.get_command(command_name))
+    return joint_deviation_l1(env, asset_cfg) * (speed < command_threshold)
 
 
 def joint_symmetry_l1(
@@ -447,10 +456,7 @@ _WALKING = 0.1  # A commanded speed below 0.1 m/s counts as a command to stand.
 
 
 def _is_asked_to_walk(env: Env, command_name: str) -> torch.Tensor:
-    found: torch.Tensor = (
-        torch.linalg.vector_norm(env.command_manager.get_command(command_name)[:, :2], dim=1) > _WALKING
-    )
-    return found
+    return _speed(env.command_manager.get_command(command_name)) > _WALKING
 
 
 def feet_air_time(env: Env, command_name: str, sensor_cfg: SceneEntityCfg, threshold: NonNegative) -> torch.Tensor:
@@ -490,10 +496,9 @@ def feet_slide(
         threshold: force above which a foot touches, N; Isaac Lab's 1 N is a fifth of the weight of a 0.5 kg robot.
     """
     touches = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids) > threshold
-    velocity = env.scene.articulations[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids, :2]
+    velocity = env.scene.articulations[asset_cfg.name].data.body_lin_vel_w[:, asset_cfg.body_ids]
     require_pairs(touches, velocity, "asset_cfg.body_names")
-    found: torch.Tensor = (torch.linalg.vector_norm(velocity, dim=-1) * touches).sum(dim=1)
-    return found
+    return (_speed(velocity) * touches).sum(dim=1)
 
 
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
@@ -502,9 +507,7 @@ def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) ->
     Not in Isaac Lab. The reward term ``feet_stumble`` penalises collisions of feet with steep obstacles.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
-    sideways = torch.linalg.vector_norm(force[..., :2], dim=-1)
-    found: torch.Tensor = (sideways > ratio * force[..., 2].abs()).any(dim=1).float()
-    return found
+    return (_length(force[..., :2]) > ratio * force[..., 2].abs()).any(dim=1).float()
 
 
 def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) -> torch.Tensor:
@@ -514,9 +517,7 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
     """
     data, ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.body_ids
     error = height_over_ground(env, picked(data.body_pos_w, ids)) - clearance
-    speed = torch.linalg.vector_norm(data.body_lin_vel_w[:, ids, :2], dim=-1)
-    found: torch.Tensor = (error.square() * speed).sum(dim=1)
-    return found
+    return (error.square() * _speed(data.body_lin_vel_w[:, ids])).sum(dim=1)
 
 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
@@ -548,12 +549,11 @@ def wheel_slip(
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     centre, spin = picked(data.body_lin_vel_w, ids), picked(data.body_ang_vel_w, ids)
     require_pairs(force, centre, "asset_cfg.body_names")
-    size = torch.linalg.vector_norm(force, dim=-1, keepdim=True)
-    normal = force / size.clamp(min=1e-6)
-    slip = centre - radius * torch.linalg.cross(spin, normal)
+    size = _length(force)
+    normal = force / size.unsqueeze(-1).clamp(min=1e-6)
+    slip = centre - radius * torch.cross(spin, normal, dim=-1)
     along = slip - (slip * normal).sum(dim=-1, keepdim=True) * normal
-    found: torch.Tensor = (torch.linalg.vector_norm(along, dim=-1) * (size.squeeze(-1) > threshold)).sum(dim=1)
-    return found
+    return (_length(along) * (size > threshold)).sum(dim=1)
 
 
 def wheel_spin_in_air_l1(

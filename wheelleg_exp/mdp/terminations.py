@@ -134,9 +134,8 @@ def joint_vel_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torc
 
 def joint_vel_out_of_manual_limit(env: Env, max_velocity: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """End the episode if at least one joint is faster than ``max_velocity``, rad/s."""
-    return (
-        picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs() > max_velocity
-    ).any(dim=1)
+    speed = picked(env.scene.articulations[asset_cfg.name].data.joint_vel, asset_cfg.joint_ids).abs()
+    return (speed > max_velocity).any(dim=1)
 
 
 def joint_effort_out_of_limit(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

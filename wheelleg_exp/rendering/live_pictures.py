@@ -85,8 +85,3 @@ class CameraPictures:
             layer: torch.from_numpy(rows[layer].copy()).reshape(*size, channels).to(qpos.device)
             for layer, channels, _ in forms
         }
-
-    def close(self) -> None:
-        """Stop the process that draws pictures; the next picture starts a new process."""
-        self._open.close()
-        self._worker = None

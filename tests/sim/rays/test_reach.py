@@ -1,7 +1,7 @@
 import mujoco
 import numpy as np
 
-from wheelleg_exp.sim.static_rays import GeomBoxes
+from wheelleg_exp.sim.batch_engine import GeomBoxes
 
 ROW = "".join(f'<geom type="box" size=".5 .5 .5" pos="{2 * x} 0 0"/>' for x in range(10))
 MIXED = """

@@ -166,11 +166,8 @@ class reset_root_state_from_terrain(TermBase):
         self._generator = generator
         self._robot, self._terrain = env.scene[asset_cfg.name], env.scene.terrain
         if "init_pos" not in self._terrain.flat_patches:
-            expected = "flat patches 'init_pos' in env.scene.terrain"
-            raise ConfigError(
-                "the terrain has no flat patches named 'init_pos', from which this event draws start positions",
-                expected=expected,
-            )
+            message = "the terrain has no flat patches named 'init_pos', from which this event draws start positions"
+            raise ConfigError(message, expected="flat patches 'init_pos' in env.scene.terrain")
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         ids, terrain, robot = all_ids(env, env_ids), self._terrain, self._robot

@@ -167,8 +167,5 @@ class ActuatorBase(Stateful):
     def _drive(self, targets: JointTargets, joint_pos: torch.Tensor, joint_vel: torch.Tensor) -> torch.Tensor:
         """Return the torques kp (q* - q) + kd (qd* - qd) + tau_ff of the robot's J joints, N·m, (N, J)."""
         ids = self._columns
-        return (
-            self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])
-            + self.damping * (targets.vel[:, ids] - joint_vel[:, ids])
-            + targets.effort[:, ids]
-        )
+        feedback = self.stiffness * (targets.pos[:, ids] - joint_pos[:, ids])
+        return feedback + self.damping * (targets.vel[:, ids] - joint_vel[:, ids]) + targets.effort[:, ids]

@@ -249,7 +249,6 @@ def open_scene(path: Path, threads: int) -> tuple[Any, Any]:
         physx.wait_task(physx.attach_ovstage(stage, read_ordinal=1))
         physx.warmup()
     except Exception as error:  # The packages raise several classes of errors, with the reason as their text.
-        raise ConfigError(
-            f"PhysX cannot open the scene: {error}", key=_ASSET, expected="a USD file for PhysX"
-        ) from error
+        message = f"PhysX cannot open the scene: {error}"
+        raise ConfigError(message, key=_ASSET, expected="a USD file for PhysX") from error
     return physx, stage

@@ -300,9 +300,8 @@ class RayCasterCamera(RayCaster):
     ) -> None:
         if not isinstance(pattern, PinholePattern):
             raise ConfigError("has no pixels", key="pattern", expected="a _target_ of PinholePattern")
-        super().__init__(
-            body_name, pattern, in_world_convention(offset), "base", max_distance, update_period=update_period
-        )
+        pose = in_world_convention(offset)
+        super().__init__(body_name, pattern, pose, "base", max_distance, update_period=update_period)
         self._pinhole, self._data_types = pattern, tuple(data_types)
         self.image_shape = (pattern.height, pattern.width)
         self._clipping: DepthClipping = depth_clipping_behavior

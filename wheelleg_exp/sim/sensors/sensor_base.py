@@ -243,7 +243,5 @@ class Mount:
     pos_w = _of_body("root_pos_w", "body_pos_w", "Position of the body's frame, m, (N, 3).")
     quat_w = _of_body("root_quat_w", "body_quat_w", "Orientation of the body's frame (w, x, y, z), (N, 4).")
     rot_w = _of_body("root_rot_w", "body_rot_w", "Rotation matrix of the body's frame, (N, 3, 3).")
-    lin_vel_w = _of_body(
-        "root_link_lin_vel_w", "body_link_lin_vel_w", "Velocity of the frame's origin, m/s, world axes, (N, 3)."
-    )
+    lin_vel_w = _of_body("root_link_lin_vel_w", "body_link_lin_vel_w", "Velocity of the frame's origin, m/s, (N, 3).")
     ang_vel_w = _of_body("root_ang_vel_w", "body_ang_vel_w", "Angular velocity of the body, rad/s, world axes, (N, 3).")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -127,7 +127,7 @@ class SubTerrain:
         raise NotImplementedError
 
 
-def at(difficulty: float, interval: Any) -> float:
+def at(difficulty: float, interval: Sequence[float]) -> float:
     """Interpolate a terrain parameter's range ``[easiest, hardest]`` at a difficulty between 0 and 1."""
     low, high = interval
     return float(low + difficulty * (high - low))

@@ -126,9 +126,8 @@ class TerrainGenerator(TerrainBase):
                 places[row, col] = self._origins[row, col]
             origin = self._origins[row, col] * (0.0, 0.0, 1.0)
             for name, wanted in part.flat_patches.items():
-                patches[name][row, col] += wanted.find(
-                    alone.heights_at, origin, self.size, rng, f"{key}.flat_patches.{name}"
-                )
+                place = f"{key}.flat_patches.{name}"
+                patches[name][row, col] += wanted.find(alone.heights_at, origin, self.size, rng, place)
         self.tiles = [tiles[index] for index in np.ndindex(shape)]
         return patches
 
