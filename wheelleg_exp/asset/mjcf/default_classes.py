@@ -10,7 +10,7 @@ and a wheel have the role ``leg``. In a robot without wheels, no joint has the r
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,12 +28,13 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
     """Return the role ``wheel`` or ``leg`` of each joint, actuator, and shape that has a role, by name."""
     meshes = {mesh.name: mesh for mesh in robot.meshes}
     bodies = {body.name: body for body in robot.bodies}
-    movers = {body.name: _mover(body, bodies) for body in robot.bodies}
-    groups: dict[str, list[Body]] = {}
+    movers, groups = dict[str, str](), dict[str, list[Body]]()
     for body in robot.bodies:
-        groups.setdefault(movers[body.name], []).append(body)
+        mover = body.name if body.parent is None or body.dofs else movers[body.parent]
+        movers[body.name] = mover
+        groups.setdefault(mover, []).append(body)
     carriers = {movers[body.parent] for body in robot.bodies if body.parent is not None and body.dofs}
-    wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], bodies, meshes)]
+    wheels = [name for name in groups if name not in carriers and _is_wheel(groups[name], meshes)]
     kinds = dict.fromkeys(wheels, WHEEL)
     # A wheel's leg consists of the joints between this wheel and the robot's trunk.
     for name in wheels:
@@ -49,26 +50,16 @@ def roles_of(robot: RobotDescription) -> dict[str, str]:
     return found | {item.name: found[item.target] for item in robot.actuators if item.target in found}
 
 
-def _mover(body: Body, bodies: dict[str, Body]) -> str:
-    while body.parent is not None and not body.dofs:
-        body = bodies[body.parent]
-    return body.name
-
-
-def _is_wheel(group: list[Body], bodies: dict[str, Body], meshes: dict[str, Mesh]) -> bool:
+def _is_wheel(group: list[Body], meshes: dict[str, Mesh]) -> bool:
     dofs = group[0].dofs
     if len(dofs) != 1 or dofs[0].kind != "hinge" or dofs[0].range is not None:
         return False
+    frames: dict[str | None, Frame] = {group[0].name: Frame.identity()}
+    for body in group[1:]:
+        frames[body.name] = frames[body.parent] @ Frame.of(body.pose)
     shapes = [(body, geom) for body in group for geom in body.geoms]
     solid = [(body, geom) for body, geom in shapes if geom.collides] or shapes
-    return any(_is_round(dofs[0], _in_top(body, group[0], bodies), geom, meshes) for body, geom in solid)
-
-
-def _in_top(body: Body, top: Body, bodies: dict[str, Body]) -> Frame:
-    frame = Frame.identity()
-    while body is not top and body.parent is not None:
-        frame, body = Frame.of(body.pose) @ frame, bodies[body.parent]
-    return frame
+    return any(_is_round(dofs[0], frames[body.name], geom, meshes) for body, geom in solid)
 
 
 def _is_round(dof: Dof, inside: Frame, geom: Geom, meshes: dict[str, Mesh]) -> bool:
@@ -134,16 +125,23 @@ class Classes:
 
     def add(self, family: Family) -> None:
         """Move the attributes that several MJCF elements of one type share into default classes."""
-        shared = {**family.fixed, **_common(family.members.values(), family.fixed)}
+        first, *others = [*family.members.values()] or [{}]
+        common = {k: v for k, v in first.items() if all(k in o and value_text(o[k]) == value_text(v) for o in others)}
+        shared = {**family.fixed, **_without(common if others else {}, family.fixed)}
         if shared:
             self._content[family.parent][family.tag] = shared
         rests = {name: _without(own, shared) for name, own in family.members.items()}
         for name, rest in rests.items():
             self._of[family.tag, name], self._rest[family.tag, name] = family.parent, rest
         # MJCF elements with equal attributes share a default class, so that the MJCF file does not repeat numbers.
-        for names in _alike(rests, family.grouping):
-            first, keys = rests[names[0]], family.grouping
-            self._group(family, names, {key: value for key, value in first.items() if keys is None or key in keys})
+        groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
+        keys = family.grouping
+        movable = {n: {k: v for k, v in rest.items() if keys is None or k in keys} for n, rest in rests.items()}
+        for name, own in movable.items():
+            groups.setdefault(tuple(sorted((key, value_text(value)) for key, value in own.items())), []).append(name)
+        for names in groups.values():
+            if len(names) > 1 and movable[names[0]]:
+                self._group(family, names, movable[names[0]])
 
     def of(self, tag: str, name: str) -> str | None:
         """Return an MJCF element's attribute ``class``; None if the ``childclass`` of the element's body suffices."""
@@ -213,25 +211,8 @@ class Classes:
         return name in self._content and (family.tag in self._content[name] or self._parents.get(name) != family.parent)
 
 
-def _common(members: Iterable[Attributes], fixed: Attributes) -> Attributes:
-    first, *others = [*members] or [{}]
-    if not others:
-        return {}
-    shared = {k: v for k, v in first.items() if all(k in o and value_text(o[k]) == value_text(v) for o in others)}
-    return {k: v for k, v in shared.items() if k not in fixed or value_text(fixed[k]) != value_text(v)}
-
-
 def _without(own: Attributes, shared: Attributes) -> Attributes:
     return {k: v for k, v in own.items() if k not in shared or value_text(shared[k]) != value_text(v)}
-
-
-def _alike(rests: Mapping[str, Attributes], grouping: frozenset[str] | None) -> list[list[str]]:
-    groups: dict[tuple[tuple[str, str], ...], list[str]] = {}
-    for name, rest in rests.items():
-        key = tuple(sorted((k, value_text(v)) for k, v in rest.items() if grouping is None or k in grouping))
-        if key:
-            groups.setdefault(key, []).append(name)
-    return [names for names in groups.values() if len(names) > 1]
 
 
 COLLIDER_COLOR = (0.2, 0.6, 0.3, 0.4)
@@ -246,33 +227,20 @@ def gather(robot: RobotDescription) -> Classes:
     classes = Classes(root, roles_of(robot))
     for name in (VISUAL, COLLISION):
         classes.child(name)
-    for family in (*_geoms(robot), *_others(robot, root), *_actuators(robot, classes)):
+    moving = [geom for body in robot.bodies for geom in body.geoms]
+    drawn = {geom.name: of.geom(geom) for geom in (*moving, *robot.static_geoms) if not geom.collides}
+    solid = {geom.name: of.geom(geom) for geom in moving if geom.collides}
+    fixed: Attributes = {"group": GROUP_COLLIDER, "rgba": COLLIDER_COLOR, **({} if robot.self_collision else TOUCHED)}
+    families = [Family("geom", drawn, VISUAL, SHARED, UNSEEN)] if drawn else []
+    families += [Family("geom", solid, COLLISION, SHARED, fixed)] if solid else []
+    families.append(Family("joint", {dof.name: of.joint(dof) for dof in robot.dofs}, root))
+    families.append(Family("site", {site.name: dict(site.extra) for site in robot.sites}, root))
+    families.append(Family("tendon", {item.name: of.tendon(item) for item in robot.tendons}, root))
+    constraints: list[Closure | Coupling] = [*robot.closures, *robot.couplings]
+    families.append(Family("equality", {of.key(item): of.equality(item) for item in constraints}, root))
+    for family in (*families, *_actuators(robot, classes)):
         classes.add(family)
     return classes
-
-
-def _geoms(robot: RobotDescription) -> Iterator[Family]:
-    moving = [geom for body in robot.bodies for geom in body.geoms]
-    drawn = [geom for geom in (*moving, *robot.static_geoms) if not geom.collides]
-    solid = [geom for geom in moving if geom.collides]
-    if drawn:
-        yield _family(VISUAL, drawn, UNSEEN)
-    if solid:
-        fixed: Attributes = {"group": GROUP_COLLIDER, "rgba": COLLIDER_COLOR}
-        yield _family(COLLISION, solid, fixed if robot.self_collision else {**fixed, **TOUCHED})
-
-
-def _family(name: str, geoms: list[Geom], fixed: Attributes) -> Family:
-    return Family("geom", {geom.name: of.geom(geom) for geom in geoms}, name, SHARED, fixed)
-
-
-def _others(robot: RobotDescription, root: str) -> Iterator[Family]:
-    yield Family("joint", {dof.name: of.joint(dof) for dof in robot.dofs}, root)
-    yield Family("site", {site.name: dict(site.extra) for site in robot.sites}, root)
-    yield Family("tendon", {item.name: of.tendon(item) for item in robot.tendons}, root)
-    constraints: list[Closure | Coupling] = [*robot.closures, *robot.couplings]
-    equalities = {of.key(item): of.equality(item) for item in constraints}
-    yield Family("equality", equalities, root)
 
 
 def _actuators(robot: RobotDescription, classes: Classes) -> list[Family]:

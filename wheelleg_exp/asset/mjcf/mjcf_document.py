@@ -41,19 +41,15 @@ class Notes:
             if note.rule in many:
                 continue
             text = f"{note.rule}: {note.value}" if note.value else note.rule
-            element = self._find(note.path)
+            path = note.path
+            while path.strip("/") and path not in self._elements:
+                path = path.rpartition("/")[0]
+            element = self._elements.get(path)
             if element is None:
                 head.append(f"{note.path}: {text}")
             elif text not in element.comment:
                 element.comment = f"{element.comment}; {text}" if element.comment else text
         return head
-
-    def _find(self, path: str) -> Element | None:
-        while path.strip("/"):
-            if path in self._elements:
-                return self._elements[path]
-            path = path.rpartition("/")[0]
-        return None
 
 
 class Names:
@@ -129,8 +125,8 @@ class Writer:
         contact = Element("contact")
         for first, second in self.robot.exclusions:
             contact.add("exclude", body1=first, body2=second)
-        parts = (self.classes.element(), out, world, contact, self._equalities())
-        for element in (*parts, self._tendons(), self._actuators(), keyframes(self.robot)):
+        parts = (self.classes.element(), out, world, contact, *self._equalities_and_tendons())
+        for element in (*parts, self._actuators(), keyframes(self.robot)):
             if element.children:
                 root.children.append(element)
         if (depth := root.depth()) > DEEPEST:
@@ -192,27 +188,22 @@ class Writer:
         element = out.add("geom", own, name=geom.name, class_=shared, type=kind, size=geom.size or None, mesh=geom.mesh)
         self.notes.place(geom.path, element)
 
-    def _equalities(self) -> Element:
-        out = Element("equality")
+    def _equalities_and_tendons(self) -> tuple[Element, Element]:
+        equalities, tendons, classes = Element("equality"), Element("tendon"), self.classes
         for closure in self.robot.closures:
             extra = {key: value for key, value in closure.extra.items() if key == "torquescale"}
+            own = {**extra, **classes.rest("equality", of.key(closure))}
+            shared = classes.explicit("equality", of.key(closure))
             for name, first, second in self.names.equalities[closure.name]:
-                own = {**extra, **self.classes.rest("equality", of.key(closure))}
-                shared = self.classes.explicit("equality", of.key(closure))
-                element = out.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
+                element = equalities.add(closure.kind, own, name=name, class_=shared, site1=first, site2=second)
                 self.notes.place(closure.path, element)
         for item in self.robot.couplings:
-            rest, shared = self.classes.rest("equality", of.key(item)), self.classes.explicit("equality", of.key(item))
+            rest, shared = classes.rest("equality", of.key(item)), classes.explicit("equality", of.key(item))
             ends: Attributes = {"joint1": item.joint, "joint2": item.reference, "polycoef": item.coefficients}
-            out.add("joint", rest, name=item.name, class_=shared, **ends)
-        return out
-
-    def _tendons(self) -> Element:
-        out = Element("tendon")
+            equalities.add("joint", rest, name=item.name, class_=shared, **ends)
         for tendon in self.robot.tendons:
-            shared = self.classes.explicit("tendon", tendon.name)
-            kind, rest = "fixed" if tendon.joints else "spatial", self.classes.rest("tendon", tendon.name)
-            element = out.add(kind, rest, name=tendon.name, class_=shared)
+            rest, shared = classes.rest("tendon", tendon.name), classes.explicit("tendon", tendon.name)
+            element = tendons.add("fixed" if tendon.joints else "spatial", rest, name=tendon.name, class_=shared)
             self.notes.place(tendon.path, element)
             for joint, factor in tendon.joints:
                 element.add("joint", joint=joint, coef=factor)
@@ -221,7 +212,7 @@ class Writer:
                     element.add("pulley", divisor=point.divisor)
                 else:
                     element.add(point.kind, {point.kind: point.name, "sidesite": point.side})
-        return out
+        return equalities, tendons
 
     def _actuators(self) -> Element:
         out = Element("actuator")

@@ -43,7 +43,10 @@ class Element:
                 lines.append(f"{pad}</{item}>")
                 continue
             if item.comment:
-                lines.append(_comment(item.comment, pad))
+                # An XML comment must not contain two hyphens in a row or end with a hyphen.
+                safe = re.sub("-(?=-)|-$", "- ", item.comment)
+                inner = [f"{pad}  {line}".rstrip() for line in safe.splitlines()]
+                lines += [f"{pad}<!-- {safe} -->"] if len(inner) == 1 else [f"{pad}<!--", *inner, f"{pad}-->"]
             given = {key: value_text(value) for key, value in item.attributes.items() if value is not None}
             head = "".join(f" {key}={quoteattr(text)}" for key, text in given.items())
             lines.append(f"{pad}<{item.tag}{head}{'>' if item.children else '/>'}")
@@ -59,14 +62,6 @@ class Element:
             deepest += 1
             level = [child for element in level for child in element.children]
         return deepest
-
-
-def _comment(text: str, pad: str) -> str:
-    safe = re.sub("-(?=-)|-$", "- ", text)  # An XML comment must not contain two hyphens in a row or end with a hyphen.
-    lines = safe.splitlines()
-    if len(lines) == 1:
-        return f"{pad}<!-- {safe} -->"
-    return "\n".join([f"{pad}<!--", *(f"{pad}  {line}".rstrip() for line in lines), f"{pad}-->"])
 
 
 def value_text(value: Value) -> str:
