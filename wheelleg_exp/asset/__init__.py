@@ -1,17 +1,4 @@
-"""Read a USD or URDF file into a robot description, and write the description as an MJCF file.
-
-| module | what it offers |
-|---|---|
-| `convert_robot` | `convert`: make an MJCF from a USD or URDF file |
-| `conversion_cache` | `convert_cached`: conversions in a cache, keyed by the content of every source file |
-| `robot_description` | a robot as plain data |
-| `usd`, `urdf` | read a robot |
-| `mjcf` | write a robot |
-| `conversion_report`, `report_writer` | what was read, assumed, and left out; findings and verdict |
-| `robot_values` | the model's numbers as plain JSON |
-| `rigid_geometry` | frames, volumes, and inertias |
-| `file_limits` | limits on the size of files and on memory |
-"""
+"""Read a USD or URDF file into a robot description, and write the description as an MJCF file."""
 
 from __future__ import annotations
 

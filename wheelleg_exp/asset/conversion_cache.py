@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.convert_robot import convert, is_urdf
@@ -31,19 +30,20 @@ from wheelleg_exp.plain_data import json_value
 from wheelleg_exp.terms.config_values import require_fit
 
 
-def find_extra_files(env: Mapping[str, Any], roots: Sequence[Path] = ()) -> dict[str, Path]:
+def find_extra_files(env: Mapping[str, object], roots: Sequence[Path] = ()) -> dict[str, Path]:
     """Return the files that an ``env`` section names in addition to the robot file.
 
     An ``env`` section can name actuator networks and a terrain file. The returned dict maps the path of each file's
     copy in the MJCF's folder to the original file. ``roots`` are user-defined asset folders.
     """
-    groups = env["robot"].get("actuators")
+    robot, scene = env["robot"], env.get("scene")
+    groups = robot.get("actuators") if isinstance(robot, Mapping) else None
     named = [
         (node.get("network_file"), f"env.robot.actuators.{name}.network_file", NETWORKS, "network")
         for name, node in (groups.items() if isinstance(groups, Mapping) else ())
         if isinstance(node, Mapping)
     ]
-    terrain = (env.get("scene") or {}).get("terrain")
+    terrain = scene.get("terrain") if isinstance(scene, Mapping) else None
     if isinstance(terrain, Mapping):
         named.append((terrain.get("file"), "env.scene.terrain.file", GROUND, "ground"))
     found = {}

@@ -15,10 +15,9 @@ from wheelleg_exp.asset.conversion_report import UNITS, Assumption, LeftOut, Rep
 from wheelleg_exp.asset.file_limits import POINT_BYTES, bounded_memory, require_near
 from wheelleg_exp.asset.mjcf.compile_mjcf import load, mujoco_warnings, verify, with_model_values
 from wheelleg_exp.asset.mjcf.mjcf_document import Writer, file_name, obj_text
-from wheelleg_exp.asset.report_writer import measure_sizes
+from wheelleg_exp.asset.report_writer import measure_sizes, values_of
 from wheelleg_exp.asset.rigid_geometry import Frame
 from wheelleg_exp.asset.robot_description import BaseMode, Body, Part, RobotDescription, depth_first
-from wheelleg_exp.asset.robot_values import values_of
 from wheelleg_exp.asset.urdf.urdf_robot import SUFFIXES as URDF
 from wheelleg_exp.asset.urdf.urdf_robot import read_urdf
 from wheelleg_exp.asset.usd.usd_robot import read_usd
@@ -74,10 +73,7 @@ def convert(
 
 
 def _built(robot: RobotDescription, report: Report, output: Path) -> tuple[RobotDescription, Report, mujoco.MjModel]:
-    """Write a robot's MJCF without the attributes that MuJoCo refuses, which the returned report names.
-
-    An attribute is refused if MuJoCo builds the model without the attribute, or gives another reason.
-    """
+    """Write a robot's MJCF without attributes that MuJoCo refuses; the returned report names these attributes."""
     try:
         driven = with_model_values(robot)
         return driven, report, write(driven, report, output)

@@ -1,8 +1,9 @@
-"""Make the conversion report of a robot; find missing colliders and implausible sizes."""
+"""Make a robot's conversion report, with its numbers as JSON; find missing colliders and implausible sizes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,18 +11,15 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.asset.conversion_report import DofOrder, Finding, Report
-from wheelleg_exp.asset.robot_description import Body, RobotDescription
-from wheelleg_exp.asset.robot_values import plain
+from wheelleg_exp.asset.rigid_geometry import tensor_of
+from wheelleg_exp.asset.robot_description import Body, Dof, Geom, Mesh, RobotDescription
 from wheelleg_exp.asset.usd.ledger import Ledger
 
 FALLS = "no shape of the robot collides: it falls through any ground"
 
 
 def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
-    """Warn if a robot has no colliders; record each end of a limb, such as a foot or a hand, without a collider.
-
-    The end of a limb is a group of welded bodies without moving child bodies.
-    """
+    """Warn if nothing collides; record ends of limbs (welded bodies without moving children) without colliders."""
     if not robot.colliders:
         ledger.find("no_colliders", robot.name, "")
         ledger.warn(FALLS)
@@ -69,10 +67,7 @@ def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Fi
 
 
 def report_of(robot: RobotDescription, ledger: Ledger, **origin: Any) -> Report:
-    """Return the conversion report of a robot that was read from a USD or URDF file.
-
-    ``origin`` contains further fields of the conversion report, such as ``source`` and ``variants``.
-    """
+    """Return a robot's conversion report; ``origin`` contains further fields, such as ``source`` and ``variants``."""
     note_colliders(robot, ledger)
     names: dict[str, str] = {}
     for path, name in [(b.path, b.name) for b in robot.bodies] + [(d.path, d.name) for d in robot.dofs]:
@@ -116,3 +111,77 @@ def totals(robot: RobotDescription, findings: Iterable[Finding]) -> dict[str, fl
         "visuals": sum(not geom.collides for body in robot.bodies for geom in body.geoms),
         "actuators": len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs),
     }
+
+
+def values_of(robot: RobotDescription) -> dict[str, object]:
+    """Return bodies, joints, colliders, meshes, and actuators of a robot by name, in SI units and radians."""
+    colliders = [(body.name, geom) for body in robot.bodies for geom in body.geoms if geom.collides]
+    return {
+        "bodies": {body.name: _body(body) for body in robot.bodies},
+        "joints": {dof.name: _joint(dof, body.name) for body in robot.bodies for dof in body.dofs},
+        "colliders": {geom.name: _collider(geom, owner) for owner, geom in colliders},
+        "static_colliders": {geom.name: _collider(geom, None) for geom in robot.static_geoms if geom.collides},
+        "meshes": {mesh.name: _mesh(mesh) for mesh in robot.meshes},
+        "actuators": {
+            item.name: {item.transmission: item.target, **{k: plain(v) for k, v in item.extra.items()}}
+            for item in robot.actuators
+        },
+    }
+
+
+def _body(body: Body) -> dict[str, object]:
+    inertial = body.inertial
+    tensor = tensor_of(inertial.moments, inertial.axes)
+    order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    return {
+        **_fields(body, "path parent floating"),
+        **_fields(body.pose, "position rotation"),
+        "mass": inertial.mass,
+        "center_of_mass": list(inertial.center_of_mass),
+        "inertia": [float(tensor[place]) for place in order],  # The inertia tensor's order is xx, yy, zz, xy, xz, yz.
+    }
+
+
+def _joint(dof: Dof, body: str) -> dict[str, object]:
+    return {
+        "path": dof.path,
+        "body": body,
+        **_fields(dof, "kind axis anchor range stiffness damping armature frictionloss"),
+        "effort": dof.effort,
+        "velocity": dof.max_velocity,
+        "drive": dof.drive
+        and {
+            **{"kind": dof.drive.kind, "kp": dof.drive.stiffness, "kv": dof.drive.damping},
+            **_fields(dof.drive, "effort target_position target_velocity acceleration"),
+        },
+    }
+
+
+def _collider(geom: Geom, owner: str | None) -> dict[str, object]:
+    return {
+        **{"path": geom.path, "body": owner, **_fields(geom, "kind size")},
+        **_fields(geom.pose, "position rotation"),
+        **_fields(geom, "mesh friction"),
+    }
+
+
+def _mesh(mesh: Mesh) -> dict[str, object]:
+    return {
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "low": mesh.vertices.min(axis=0).tolist(),
+        "high": mesh.vertices.max(axis=0).tolist(),
+    }
+
+
+def _fields(part: object, names: str) -> dict[str, object]:
+    return {name: plain(getattr(part, name)) for name in names.split()}
+
+
+def plain(value: object) -> object:
+    """Return a JSON value: tuples become lists, and NaN and infinity become text."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value

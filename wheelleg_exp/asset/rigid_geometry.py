@@ -7,7 +7,7 @@ mesh or of its convex hull. The inertia of a capsule is the sum of the inertias 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -137,10 +137,7 @@ class Frame:
 
 
 def split_scale(linear: Array) -> tuple[Array, Array]:
-    """Split a 3x3 matrix into rotation and stretch: ``linear = rotation @ stretch`` (polar decomposition).
-
-    The determinant of ``rotation`` is 1, even if ``linear`` mirrors and has a negative determinant.
-    """
+    """Split a 3x3 matrix: ``linear = rotation @ stretch`` (polar decomposition), with det(rotation) = 1."""
     u, values, vt = np.linalg.svd(linear)
     rotation = u @ vt
     stretch = vt.T @ np.diag(values) @ vt
@@ -279,20 +276,31 @@ def balanced(moments: Vec3) -> Vec3:
     return values[0], values[1], values[2]
 
 
-def cone(radius: float, half: float) -> Solid:
-    """Return the solid of a cone along z, with the tip at z = ``half`` and the base at z = ``-half`` (m)."""
-    v, height = 2 / 3 * math.pi * radius * radius * half, 2 * half
-    side = v * (3 / 20 * radius * radius + 3 / 80 * height * height)
-    volume, moments = v, (side, side, v * 3 / 10 * radius * radius)
-    return Solid(volume, np.array([0.0, 0.0, -half / 2]), np.diag(moments))
-
-
 def primitive(kind: str, size: tuple[float, ...]) -> Solid:
-    """Return the solid of a box, sphere, ellipsoid, capsule, cylinder, or cone (``size`` as in MuJoCo)."""
-    if kind == "cone":
-        return cone(*size)
-    volume, moments = _FORMS[kind](*size)
-    return Solid(volume, np.zeros(3), np.diag(moments))
+    """Return the solid of a box, sphere, ellipsoid, capsule, cylinder, or cone (``size`` as in MuJoCo).
+
+    The tip of a cone is at z = ``half``, and its base at z = ``-half`` (m).
+    """
+    center = np.zeros(3)
+    if kind in ("box", "sphere", "ellipsoid"):
+        a, b, c = size if len(size) == 3 else size * 3
+        volume, share = (8 * a * b * c, 3) if kind == "box" else (4 / 3 * math.pi * a * b * c, 5)
+        v = volume / share
+        moments = (v * (b * b + c * c), v * (a * a + c * c), v * (a * a + b * b))
+        return Solid(volume, center, np.diag(moments))
+    r, half = size
+    if kind == "cylinder":
+        volume = 2 * math.pi * r * r * half
+        side, along = volume * (3 * r * r + 4 * half * half) / 12, volume * r * r / 2
+    elif kind == "capsule":
+        tube, ends = 2 * math.pi * r * r * half, 4 / 3 * math.pi * r**3
+        volume = tube + ends
+        side = tube * (half * half / 3 + r * r / 4) + ends * (2 / 5 * r * r + half * half + 3 / 4 * half * r)
+        along = tube * r * r / 2 + ends * 2 / 5 * r * r
+    else:
+        volume, height, center[2] = 2 / 3 * math.pi * r * r * half, 2 * half, -half / 2
+        side, along = volume * (3 / 20 * r * r + 3 / 80 * height * height), volume * 3 / 10 * r * r
+    return Solid(volume, center, np.diag((side, side, along)))
 
 
 def hollow(kind: str, size: tuple[float, ...], wall: float | None) -> Solid:
@@ -330,37 +338,6 @@ def _inset(kind: str, size: tuple[float, ...], depth: float) -> Solid | None:
         inside, shift = (radius * ratio, half * ratio), (1 - ratio) * (inscribed - half)
     frame = Frame(np.eye(3), np.array([0.0, 0.0, shift]))
     return primitive(kind, inside).seen_from(frame) if min(inside) > 0 else None
-
-
-def _box(a: float, b: float, c: float) -> tuple[float, tuple[float, float, float]]:
-    v = 8 * a * b * c
-    return v, (v / 3 * (b * b + c * c), v / 3 * (a * a + c * c), v / 3 * (a * a + b * b))
-
-
-def _ellipsoid(a: float, b: float, c: float) -> tuple[float, tuple[float, float, float]]:
-    v = 4 / 3 * math.pi * a * b * c
-    return v, (v / 5 * (b * b + c * c), v / 5 * (a * a + c * c), v / 5 * (a * a + b * b))
-
-
-def _cylinder(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
-    v = 2 * math.pi * r * r * half
-    side = v * (3 * r * r + 4 * half * half) / 12
-    return v, (side, side, v * r * r / 2)
-
-
-def _capsule(r: float, half: float) -> tuple[float, tuple[float, float, float]]:
-    tube, ends = 2 * math.pi * r * r * half, 4 / 3 * math.pi * r**3
-    side = tube * (half * half / 3 + r * r / 4) + ends * (2 / 5 * r * r + half * half + 3 / 4 * half * r)
-    return tube + ends, (side, side, tube * r * r / 2 + ends * 2 / 5 * r * r)
-
-
-_FORMS: dict[str, Callable[..., tuple[float, tuple[float, float, float]]]] = {
-    "box": _box,
-    "sphere": lambda r: _ellipsoid(r, r, r),
-    "ellipsoid": _ellipsoid,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-}
 
 
 def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:

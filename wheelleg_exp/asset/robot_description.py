@@ -6,7 +6,6 @@ it. Each mapping ``extra`` contains MJCF attributes that the MJCF writer prints 
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -133,6 +132,13 @@ class Dof:
     ref: float = 0.0
     extra: Extra = field(default_factory=dict)
 
+    @property
+    def effort(self) -> float | None:
+        """The largest effort of the joint's motors, in N·m or N; None means unlimited."""
+        limits = [] if self.force_range is None else [max(map(abs, self.force_range))]
+        limits += [] if self.drive is None or self.drive.effort is None else [self.drive.effort]
+        return min(limits, default=None)
+
 
 @dataclass(frozen=True)
 class Actuator:
@@ -164,10 +170,7 @@ class TendonPoint:
 
 @dataclass(frozen=True)
 class Tendon:
-    """A length: of a path through ``points`` in m, or a sum of ``joints`` coordinates with a factor each.
-
-    ``range`` limits the length. A tendon has either ``points`` or ``joints``.
-    """
+    """A length, limited to ``range``: of a path through ``points`` in m, or a weighted sum of joint coordinates."""
 
     name: str
     path: str
@@ -334,7 +337,6 @@ def depth_first(
 
 RESERVED = frozenset({"world"})  # MuJoCo's root body
 DEEPEST = 8  # parts of a path
-LONGEST_FILE = 100  # Mesh file names are cut to 100 characters, because most file systems allow at most 255 bytes.
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
@@ -355,11 +357,6 @@ def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> d
         for path in growable:
             own = parts[path]
             names[path] = "_".join([*own[-depth:-1], shown.get(path, own[-1])])
-    return numbered(names)
-
-
-def numbered(names: dict[str, str]) -> dict[str, str]:
-    """Return the names, with a number such as ``_2`` appended to each repeated name."""
     counter = Numbered(RESERVED)
     return {path: counter.take(name) for path, name in names.items()}
 
@@ -379,8 +376,3 @@ class Numbered:
         self._next[name] = number
         self._taken.add(candidate)
         return candidate
-
-
-def file_stem(name: str) -> str:
-    """Return ``name`` as a file name without suffix that every file system accepts."""
-    return re.sub(r"[^\w-]", "_", name, flags=re.ASCII)[:LONGEST_FILE].strip("_") or "mesh"

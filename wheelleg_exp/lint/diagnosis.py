@@ -26,7 +26,6 @@ from wheelleg_exp.asset import Conversion, convert
 from wheelleg_exp.asset.file_limits import require_plain_file
 from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 from wheelleg_exp.asset.robot_description import Dof
-from wheelleg_exp.asset.robot_values import effort_of
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.errors import AssetError, named_as
@@ -111,7 +110,7 @@ def _file_case(
 
 def _drive(dof: Dof) -> robots.Drive | None:
     """Return a joint's drive from the robot file. A missing limit means unlimited."""
-    effort = effort_of(dof)
+    effort = dof.effort
     if dof.drive is None and effort is None and dof.max_velocity is None:
         return None
     stiffness, damping = (dof.drive.stiffness, dof.drive.damping) if dof.drive is not None else (0.0, 0.0)

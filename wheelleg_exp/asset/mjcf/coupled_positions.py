@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    import torch
+
 RANK = 1e-4  # Constraints are redundant if their rows differ by less than this share of the largest row.
+Positions = TypeVar("Positions", NDArray[np.float64], "torch.Tensor")
 _SAMPLES = 10001  # positions of a driver, among which its limits are found
 
 
@@ -55,7 +59,7 @@ class JointCouplings:
                 near = min(runs, key=lambda run: np.abs(places[run] - ref[driver]).min())
                 self.limits[of[driver]] = float(places[near[0]]), float(places[near[-1]])
 
-    def follow(self, positions: Any, velocities: Any = None) -> None:
+    def follow(self, positions: Positions, velocities: Positions | None = None) -> None:
         """Set the followers in ``positions`` (..., columns), rad (m), and ``velocities`` to what their drivers require.
 
         The arguments are numpy arrays or torch tensors, and change in place. Drivers first move into their ``limits``.

@@ -106,10 +106,7 @@ class Family:
 
 
 class Classes:
-    """The default classes of an MJCF file, and the attributes that each MJCF element adds to its default class.
-
-    ``roles`` maps names of joints, actuators, and shapes to ``wheel`` or ``leg``.
-    """
+    """The default classes of an MJCF; ``roles`` maps names of joints, actuators, and shapes to ``wheel`` or ``leg``."""
 
     def __init__(self, root: str, roles: Mapping[str, str]) -> None:
         self.root, self.roles = root, roles

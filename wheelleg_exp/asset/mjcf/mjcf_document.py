@@ -239,10 +239,7 @@ HOME = "home"
 
 
 def keyframes(robot: desc.RobotDescription) -> Element:
-    """Return the ``<keyframe>`` element; a keyframe ``home`` of the robot file replaces the generated keyframe.
-
-    The generated keyframe is the saved state, with floating bases at their drawn poses.
-    """
+    """Return the robot file's keyframes and, unless one is ``home``, the saved state with bases as drawn."""
     out = Element("keyframe")
     positions: list[float] = []
     velocities: list[float] = []

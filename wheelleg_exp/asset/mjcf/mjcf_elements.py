@@ -23,10 +23,7 @@ class Element:
     comment: str = ""
 
     def add(self, tag: str, given: Mapping[str, Value] | None = None, **attributes: Value) -> Element:
-        """Append a child element to this XML element, and return the child.
-
-        The keyword argument ``class_`` sets the XML attribute ``class``.
-        """
+        """Append a child element and return it; the argument ``class_`` sets the XML attribute ``class``."""
         named = {key.rstrip("_"): value for key, value in attributes.items()}
         child = Element(tag, {**named, **(given or {})})
         self.children.append(child)

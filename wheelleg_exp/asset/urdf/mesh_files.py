@@ -24,13 +24,15 @@ from wheelleg_exp.asset.usd.usd_stage import file_hash, relative_name
 from wheelleg_exp.errors import AssetError
 
 Faces = NDArray[np.int64]
+Triangles = tuple[Array, Faces]
+"""Vertices (n, 3) and faces (k, 3) of indices."""
 
 FACES = ("triangles", "polylist", "polygons", "trifans", "tristrips")
 MOST_PARTS = 500_000  # nodes of one file
-_NOTHING: tuple[Array, Faces] = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+_NOTHING: Triangles = np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
 
 
-def read_dae(data: bytes) -> tuple[Array, Faces]:
+def read_dae(data: bytes) -> Triangles:
     """Return vertices (n, 3) in m and faces (k, 3) of all shapes in the scene of a COLLADA file."""
     try:
         root = parse_xml(Path("mesh"), data)
@@ -112,7 +114,7 @@ def _transform(element: Element) -> Array:
     return out
 
 
-def _placed(file: _File, mesh: Element, matrix: Array) -> tuple[Array, Faces]:
+def _placed(file: _File, mesh: Element, matrix: Array) -> Triangles:
     groups = [child for child in mesh.children if child.tag in FACES]
     vertices = mesh.first("vertices")
     if vertices is None or not groups:
@@ -145,20 +147,13 @@ def _faces(group: Element) -> Faces:
             raise ValueError("the sizes of a mesh's polygons do not match the number of polygon corners")
         parts = [triangles(sizes, corners) for corners in lists]
     elif group.tag == "tristrips":
-        parts = [_strip(corners) for corners in lists]
+        parts = [np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) for corners in lists]
+        for faces in parts:
+            faces[1::2] = faces[1::2, ::-1]
     else:
         parts = [triangles(np.array([len(corners)]), corners) for corners in lists]
     return np.concatenate([np.zeros((0, 3), dtype=np.int64), *parts])
 
-
-def _strip(corners: Faces) -> Faces:
-    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
-    faces[1::2] = faces[1::2, ::-1]
-    return faces
-
-
-Triangles = tuple[Array, NDArray[np.int64]]
-"""Vertices (n, 3) and faces (k, 3) of indices."""
 
 _STL_HEAD, _STL_FACE = 84, 50  # bytes
 

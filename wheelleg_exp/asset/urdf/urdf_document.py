@@ -225,21 +225,15 @@ ATTRIBUTES = {  # by tag and name
 }
 
 
-def audit(document: Document) -> None:
-    """Record every XML element and attribute that the converter has not read."""
-    document.ledger.mapped(document.root.path, "name", "model name")
-    _visit(document, document.root)
-
-
-def _visit(document: Document, element: Element) -> None:
+def audit(document: Document, element: Element) -> None:
+    """Record every attribute of an XML element, and every element below it, that the converter has not read."""
     for name, value in element.attributes.items():
         if not name.startswith("xmlns") and not document.ledger.knows(element.path, name):
             reason = ATTRIBUTES.get((element.tag, name), "not supported here")
             document.ledger.leave(element.path, name, reason, value)
-    known = READ.get(element.tag, set())
     for child in element.children:
-        if child.tag in known:
-            _visit(document, child)
+        if child.tag in READ.get(element.tag, ()):
+            audit(document, child)
         else:
             reason = REASONS.get(child.tag, "this part of URDF is not read")
             document.ledger.leave(child.path, child.tag, reason, summary(child))

@@ -23,10 +23,7 @@ TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 def inertials(
     document: Document, tree: Tree, seen: dict[str, Seen], colliders: dict[str, list[Shape]], base: BaseMode
 ) -> dict[str, Inertial]:
-    """Return the mass properties of each link of a URDF, by the link's name.
-
-    If the URDF gives no mass, the volume of ``colliders`` gives the mass. A link that cannot move may have no mass.
-    """
+    """Return each link's mass properties; a moving link without a mass gets the mass of its ``colliders``' volume."""
     links = tree.links.values()
     found = {link.name: _part(document, link, seen[link.name], colliders[link.name]) for link in links}
     # Collect groups of welded links, because MuJoCo needs mass and inertia for only one link of each group.

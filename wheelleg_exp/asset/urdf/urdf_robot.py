@@ -73,10 +73,16 @@ def _direction(document: Document, joint: Joint, axis: desc.Vec3) -> desc.Vec3:
 
 
 def _range(document: Document, joint: Joint, element: Element | None) -> Range | None:
-    if joint.kind == "continuous":
-        _note_ignored(document, joint, element)
-        return None
     ledger, path, angular = document.ledger, joint.element.path, joint.kind == "revolute"
+    if joint.kind == "continuous":
+        if element is not None and {"lower", "upper"} <= set(element.attributes):
+            ends = [_written(document, joint, element, side, None) for side in ("lower", "upper")]
+            limits = [end for end in ends if end is not None]
+            if len(limits) == 2 and limits[0] < limits[1] and not endless(math.degrees(limits[0]), True):
+                ledger.find("limits_ignored", joint.name, path, lower=limits[0], upper=limits[1])
+                text = "a continuous joint has no limits; the written limits {:g} to {:g} do not count".format(*limits)
+                ledger.warn(f"{path}: {text}")
+        return None
     found = [_written(document, joint, element, side, "range") for side in ("lower", "upper")]
     low, high = (0.0 if value is None else value for value in found)
     if low >= high:
@@ -101,18 +107,6 @@ def _range(document: Document, joint: Joint, element: Element | None) -> Range |
         ledger.assume(path, "limits are infinite or huge: no limits", f"{low:g} to {high:g}")
         return None
     return (-FAR if no_low else low, FAR if no_high else high)
-
-
-def _note_ignored(document: Document, joint: Joint, element: Element | None) -> None:
-    if element is None or not {"lower", "upper"} <= set(element.attributes):
-        return
-    low, high = (_written(document, joint, element, side, None) for side in ("lower", "upper"))
-    if low is None or high is None or not low < high or endless(math.degrees(low), True):
-        return
-    path = joint.element.path
-    document.ledger.find("limits_ignored", joint.name, path, lower=low, upper=high)
-    text = f"a continuous joint has no limits; the written limits {low:g} to {high:g} do not count"
-    document.ledger.warn(f"{path}: {text}")
 
 
 def _written(document: Document, joint: Joint, element: Element | None, name: str, became: str | None) -> float | None:
@@ -149,10 +143,7 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
 
 
 def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
-    """Return the joint couplings of ``<mimic>`` elements: q = offset + multiplier · r.
-
-    ``dofs`` maps the name of each URDF joint with exactly one degree of freedom to the MuJoCo joint.
-    """
+    """Return the couplings of ``<mimic>``, q = offset + multiplier · r; ``dofs`` are the joints with one axis."""
     mimics = [(joint, mimic) for joint in tree.joints.values() if (mimic := joint.element.first("mimic"))]
     return tuple(filter(None, (_coupling(document, joint, mimic, tree, dofs) for joint, mimic in mimics)))
 
@@ -235,7 +226,9 @@ class _Builder:
         # Sort the bodies by body tree, because a link on a floating URDF joint is the root of a separate body tree.
         bodies = [self._body(link, masses[link.name]) for link in links]
         single = {name: dofs[0] for name, dofs in self.dofs.items() if len(dofs) == 1 and dofs[0].kind != "ball"}
-        joints = [link.joint for link in tree.breadth_first() if link.joint is not None]
+        joints = list(tree.root.joints)
+        for joint in joints:  # breadth first
+            joints += joint.child.joints
         joined = [j for j in tree.joints.values() if j.parent is not tree.world and j.kind != "floating"]
         robot = desc.RobotDescription(
             name=document.root.attributes.get("name") or document.source.stem,
@@ -249,16 +242,15 @@ class _Builder:
             breadth_first_dofs=tuple(dof.name for joint in joints for dof in self.dofs[joint.name]),
         )
         document.ledger.assume(document.source.name, "a URDF has no gravity", f"{EARTH} m/s² downwards")
-        audit(document)
+        document.ledger.mapped(document.root.path, "name", "model name")
+        audit(document, document.root)
         for name in self.files.missing:
             document.ledger.warn(f"not found, read without it: {name}")
-            document.ledger.find("mesh_not_found", name, document.source.name, **self._named_by(name))
+            shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
+            using = [p.collides for p in shapes if any(e.attributes.get("filename") == name for e in p.element.walk())]
+            counts = {"colliders": sum(using), "visuals": len(using) - sum(using)}
+            document.ledger.find("mesh_not_found", name, document.source.name, **counts)
         return robot, self.files
-
-    def _named_by(self, file: str) -> dict[str, float]:
-        shapes = [placed for seen in self.seen.values() for placed in seen.shapes]
-        using = [p.collides for p in shapes if any(e.attributes.get("filename") == file for e in p.element.walk())]
-        return {"colliders": sum(using), "visuals": len(using) - sum(using)}
 
     # ------------------------------------------------------------ bodies
     def _body(self, link: Link, inertial: desc.Inertial) -> desc.Body:

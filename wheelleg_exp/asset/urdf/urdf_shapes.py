@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -32,8 +31,7 @@ class Looks:
                 if element.first("color") is not None:
                     self.document.ledger.mapped(element.path, "name", "material")
         self.used: dict[tuple[str, Rgba], Material] = {}
-        self._count: Counter[str] = Counter()
-        self._taken: set[str] = set()
+        self._taken = Numbered()
 
     def _color(self, element: Element) -> Rgba | None:
         color = element.first("color")
@@ -58,17 +56,11 @@ class Looks:
             if name:
                 self.document.ledger.leave(element.path, "name", "a material without colour", name)
             return None, None
-        return (self._named(name, color), None) if name else (None, color)
-
-    def _named(self, name: str, color: Rgba) -> str:
+        if not name:
+            return None, color
         if (name, color) not in self.used:
-            self._count[name] += 1
-            free = name if self._count[name] == 1 else f"{name}_{self._count[name]}"
-            while free in self._taken:
-                free += "_"
-            self._taken.add(free)
-            self.used[name, color] = Material(free, color)
-        return self.used[name, color].name
+            self.used[name, color] = Material(self._taken.take(name), color)
+        return self.used[name, color].name, None
 
 
 LONGEST_NAME = 100  # bytes
@@ -181,11 +173,9 @@ class Shapes:
         vertices = np.round(shape.vertices, 9) + 0.0
         key = hashlib.sha256(vertices.tobytes() + shape.faces.tobytes() + bytes([placed.collides])).hexdigest()
         if key not in self.meshes:
-            self.meshes[key] = Mesh(self._mesh_name(placed), vertices, shape.faces, placed.collides)
+            mesh = next(element for element in placed.element.walk() if element.tag == "mesh")
+            stem = PurePosixPath(mesh.attributes["filename"].replace("\\", "/")).stem.encode()[:LONGEST_NAME]
+            name = stem.decode(errors="ignore") + ("" if placed.collides else "_visual")
+            name += self._mesh_names.take(name.lower())[len(name) :]
+            self.meshes[key] = Mesh(name, vertices, shape.faces, placed.collides)
         return self.meshes[key].name
-
-    def _mesh_name(self, placed: Placed) -> str:
-        mesh = next(element for element in placed.element.walk() if element.tag == "mesh")
-        file = PurePosixPath(mesh.attributes["filename"].replace("\\", "/"))
-        name = file.stem.encode()[:LONGEST_NAME].decode(errors="ignore") + ("" if placed.collides else "_visual")
-        return name + self._mesh_names.take(name.lower())[len(name) :]

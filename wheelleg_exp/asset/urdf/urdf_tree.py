@@ -64,12 +64,6 @@ class Tree:
             yield link
             stack.extend(joint.child for joint in reversed(link.joints))
 
-    def breadth_first(self) -> Iterator[Link]:
-        level = [self.root]
-        while level:
-            yield from level
-            level = [joint.child for link in level for joint in link.joints]
-
 
 def read_tree(document: Document) -> Tree:
     """Return the tree of links."""

@@ -5,7 +5,6 @@ Sites are named frames: USD types of Isaac Sim's sensors, and of the sites of Mu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from pxr import Sdf, Usd, UsdGeom
@@ -93,29 +92,24 @@ class Piece:
 
 def find_pieces(stage: Stage, links: Links) -> list[Piece]:
     """Return all visuals and colliders of a USD stage, in the order of the stage. Unsupported shapes are reported."""
-    pieces, points = [], 0
-    for piece in filter(None, _pieces(stage, links)):
-        pieces.append(piece)
-        points += piece.shape.points
-        require_size(len(pieces), MOST_SHAPES, "shapes", key=piece.path)
-        require_size(points, MOST_POINTS, "points and triangles of meshes", key=piece.path)
-    return pieces
-
-
-def _pieces(stage: Stage, links: Links) -> Iterator[Piece | None]:
+    pieces, points = list[Piece](), 0
     # A USD prim's CollisionAPI applies to all geometry prims below it; ``stage.prims`` lists parents before children.
     carriers: dict[Sdf.Path, Usd.Prim] = {}
     for prim in stage.prims:
         path = prim.GetPath()
         above = carriers.get(path.GetParentPath())
         carrier = prim if "PhysicsCollisionAPI" in schemas(prim) else above
-        if prim.IsA(UsdGeom.Gprim):
-            if above is not None:
-                carriers[path] = above
-            if not is_site(prim):
-                yield _piece(stage, links.owner(path), prim, carrier)
-        elif carrier is not None:
-            carriers[path] = carrier
+        inherited = above if prim.IsA(UsdGeom.Gprim) else carrier
+        if inherited is not None:
+            carriers[path] = inherited
+        if prim.IsA(UsdGeom.Gprim) and not is_site(prim):
+            piece = _piece(stage, links.owner(path), prim, carrier)
+            if piece is not None:
+                pieces.append(piece)
+                points += piece.shape.points
+                require_size(len(pieces), MOST_SHAPES, "shapes", key=piece.path)
+                require_size(points, MOST_POINTS, "points and triangles of meshes", key=piece.path)
+    return pieces
 
 
 def _piece(stage: Stage, link: Link | None, prim: Usd.Prim, carrier: Usd.Prim | None) -> Piece | None:

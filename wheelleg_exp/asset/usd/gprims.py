@@ -44,10 +44,7 @@ class Shape:
 
 
 def shape_of(prim: Usd.Prim, matrix: Array) -> Shape | None:
-    """Return the shape of a USD gprim; None if the gprim's type is not supported or its mesh is invalid.
-
-    ``matrix`` (4, 4) maps coordinates of the gprim to coordinates of its body in metres.
-    """
+    """Return a gprim's shape, if it is supported and valid; ``matrix`` (4, 4) maps to the body's coordinates in m."""
     make = _MAKERS.get(str(prim.GetTypeName()))
     if make is None:
         return None
@@ -151,10 +148,7 @@ def _cone(prim: Usd.Prim, at: _Placing) -> Shape:
 
 
 def _plane(prim: Usd.Prim, at: _Placing) -> Shape:
-    """Return an infinite plane.
-
-    A transform that mirrors the USD plane also mirrors the plane's normal.
-    """
+    """Return an infinite plane; a transform that mirrors the USD plane also mirrors its normal."""
     axis, note = _axis(prim)
     turn = Z_TO_AXIS[axis]
     if at.scale is None or np.diag(at.stretch).min() < 0:

@@ -138,7 +138,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= 40 else text[:40] + "..."
 
 
-def plain(value: object) -> Any:
+def plain(value: object) -> object:
     """Return a value without USD types: numbers, text, tuples, quaternions (w, x, y, z), arrays."""
     if isinstance(value, bool) or value is None or isinstance(value, (int, str)):
         return value
@@ -173,10 +173,7 @@ class Ledger:
         self.authored: dict[str, dict[str, object]] = {}
 
     def read(self, prim: Usd.Prim, name: str, became: str | None = None) -> Any:
-        """Return a USD attribute's authored value, or None, and record ``became``, the MJCF part made from the value.
-
-        ``read`` also returns attributes of USD schemas that the USD library does not know.
-        """
+        """Return an attribute's authored value or None, and record ``became``, the MJCF part made from the value."""
         attribute = prim.GetAttribute(name)
         if not attribute or not attribute.HasAuthoredValue():
             return None

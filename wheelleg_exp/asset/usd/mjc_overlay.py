@@ -25,15 +25,6 @@ _OF_JOINTS = "springdamper margin solreflimit solimplimit solreffriction solimpf
 JOINT_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_JOINTS.split()}
 
 
-def with_body_extra(stage: Stage, body: desc.Body) -> desc.Body:
-    """Return a body with attributes of MuJoCo's USD schemas for the body, the body's joints, and the body's geoms."""
-    prim = stage.usd.GetPrimAtPath(body.path)
-    found = mjc.attributes(stage, prim, {"mjc:body:gravcomp": "gravcomp"})
-    dofs = tuple(_dof(stage, dof) for dof in body.dofs)
-    geoms = tuple(with_geom_extra(stage, geom) for geom in body.geoms)
-    return replace(body, dofs=dofs, geoms=geoms, extra={**body.extra, **found})
-
-
 def _dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     prim = stage.usd.GetPrimAtPath(dof.path)
     found = mjc.attributes(stage, prim, JOINT_ATTRIBUTES)
@@ -45,6 +36,7 @@ def _dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
     return replace(dof, extra={**dof.extra, **found}) if found else dof
 
 
+HULLS = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
 NEWTON = {"newton:contactMargin": "margin", "newton:contactGap": "gap"}
 _OF_GEOMS = "condim priority solref solimp solmix margin gap"
 GEOM_ATTRIBUTES = {f"mjc:{name}": name for name in _OF_GEOMS.split()}
@@ -65,14 +57,6 @@ def with_geom_extra(stage: Stage, geom: desc.Geom) -> desc.Geom:
         found |= mjc.attributes(stage, solid, NEWTON) | mjc.attributes(stage, solid, GEOM_ATTRIBUTES)
         found |= _friction(stage, prim, geom)
     return replace(geom, extra={**geom.extra, **found}) if found else geom
-
-
-def hull_size(stage: Stage, geom: desc.Geom) -> dict[str, mjc.Attribute]:
-    """Return the MJCF attribute for the maximum number of vertices of a mesh's convex hull."""
-    prim = stage.usd.GetPrimAtPath(geom.path)
-    names = {"newton:maxHullVertices": "maxhullvert", "mjc:maxhullvert": "maxhullvert"}
-    found = mjc.attributes(stage, prim, names)
-    return {key: value for key, value in found.items() if isinstance(value, int) and value > 0}
 
 
 def _carrier(prim: Usd.Prim, wanted: set[str]) -> Usd.Prim | None:
@@ -102,6 +86,7 @@ def _friction(stage: Stage, prim: Usd.Prim, geom: desc.Geom) -> dict[str, mjc.At
 
 LINEAR = (0.0, 1.0, 0.0, 0.0, 0.0)
 SOLVER = {"mjc:solref": "solref", "mjc:solimp": "solimp"}
+COEFFICIENTS = (*(f"newton:mimicCoef{i}" for i in (0, 1)), *(f"mjc:coef{i}" for i in range(5)))
 COUPLED = {"NewtonMimicAPI", "MjcEqualityJointAPI"}
 CLOSED = {"MjcEqualityAPI", "MjcEqualityConnectAPI", "MjcEqualityWeldAPI"}
 
@@ -111,9 +96,7 @@ def with_closure_extra(stage: Stage, closure: desc.Closure) -> desc.Closure:
     prim = stage.usd.GetPrimAtPath(closure.path)
     if not CLOSED & set(schemas(prim)):
         return closure
-    found = mjc.attributes(stage, prim, SOLVER)
-    if closure.kind == "weld":
-        found |= mjc.attributes(stage, prim, {"mjc:torqueScale": "torquescale"})
+    found = mjc.attributes(stage, prim, SOLVER | ({"mjc:torqueScale": "torquescale"} if closure.kind == "weld" else {}))
     if stage.ledger.read(prim, "physics:jointEnabled", "active") is False:
         found["active"] = False
     return replace(closure, extra={**closure.extra, **found})
@@ -132,27 +115,20 @@ def read_couplings(stage: Stage, dofs: Mapping[str, desc.Dof]) -> tuple[desc.Cou
         if leader is None:
             stage.ledger.warn(f"{prim.GetPath()}: follows no joint of the robot, so the coupling was left out")
             continue
-        found.append(_coupling(stage, prim, dof, leader))
+        extra: dict[str, mjc.Attribute] = mjc.attributes(stage, prim, SOLVER)
+        if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
+            extra["active"] = False
+        # The offset newton:mimicCoef0 is in the joint's USD unit, but mjc:coef0 is in SI units.
+        values = list(LINEAR)
+        for name in COEFFICIENTS:
+            value = stage.ledger.read(prim, name, "equality joint polycoef")
+            if value is not None:
+                in_si = stage.units.coordinate(value, dof.kind == "hinge") if name == "newton:mimicCoef0" else value
+                values[int(name[-1])] = float(in_si)
+        a, b, c, d, e = values
+        name = f"{dof.name}_coupling"
+        found.append(desc.Coupling(name, dof.path, dof.name, leader.name, (a, b, c, d, e), extra))
     return tuple(found)
-
-
-def _coupling(stage: Stage, prim: Usd.Prim, dof: desc.Dof, leader: desc.Dof) -> desc.Coupling:
-    extra: dict[str, mjc.Attribute] = mjc.attributes(stage, prim, SOLVER)
-    if stage.ledger.read(prim, "newton:mimicEnabled", "active") is False:
-        extra["active"] = False
-    name = f"{dof.name}_coupling"
-    # The offset newton:mimicCoef0 is in the joint's USD unit, but mjc:coef0 is in SI units.
-    values = list(LINEAR)
-    for index in range(2):
-        value = stage.ledger.read(prim, f"newton:mimicCoef{index}", "equality joint polycoef")
-        if value is not None:
-            values[index] = float(value) if index else stage.units.coordinate(value, dof.kind == "hinge")
-    for index in range(5):
-        value = stage.ledger.read(prim, f"mjc:coef{index}", "equality joint polycoef")
-        if value is not None:
-            values[index] = float(value)
-    a, b, c, d, e = values
-    return desc.Coupling(name, dof.path, dof.name, leader.name, (a, b, c, d, e), extra)
 
 
 INTEGRATORS = {"euler": "Euler", "rk4": "RK4", "implicit": "implicit", "implicitfast": "implicitfast"}
@@ -220,58 +196,58 @@ def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: desc.RobotDescrip
     values = {name: stage.ledger.read(scene, f"mjc:compiler:{name}", became) for name in COMPILED_MASSES}
     if not any(values.values()):
         return robot
-    least, smallest = values["boundMass"] or 0.0, values["boundInertia"] or 0.0
-    inertials = [_bounded(body.inertial, least, smallest) for body in robot.bodies]
-    total, wanted = sum(inertial.mass for inertial in inertials), values["setTotalMass"] or 0.0
-    if wanted > 0 and total > 0:
-        stage.ledger.assume(scene.GetPath(), "mjc:compiler:setTotalMass scales all masses", f"{wanted / total:.6g}")
-        inertials = [_scaled(inertial, wanted / total) for inertial in inertials]
-    pairs = zip(robot.bodies, inertials, strict=True)
-    return replace(robot, bodies=tuple(replace(body, inertial=inertial) for body, inertial in pairs))
-
-
-def _bounded(inertial: desc.Inertial, least: float, smallest: float) -> desc.Inertial:
-    a, b, c = (max(moment, smallest) for moment in inertial.moments)
-    return replace(inertial, mass=max(inertial.mass, least), moments=(a, b, c))
-
-
-def _scaled(inertial: desc.Inertial, factor: float) -> desc.Inertial:
-    a, b, c = inertial.moments
-    moments: desc.Vec3 = (a * factor, b * factor, c * factor)
-    return replace(inertial, mass=inertial.mass * factor, moments=moments)
+    least, smallest, wanted = (values[name] or 0.0 for name in COMPILED_MASSES)
+    masses = [max(body.inertial.mass, least) for body in robot.bodies]
+    factor = wanted / sum(masses) if wanted > 0 and sum(masses) > 0 else None
+    if factor is not None:
+        stage.ledger.assume(scene.GetPath(), "mjc:compiler:setTotalMass scales all masses", f"{factor:.6g}")
+    bodies = []
+    for body, mass in zip(robot.bodies, masses, strict=True):
+        a, b, c = (max(moment, smallest) * (factor or 1.0) for moment in body.inertial.moments)
+        inertial = replace(body.inertial, mass=mass * (factor or 1.0), moments=(a, b, c))
+        bodies.append(replace(body, inertial=inertial))
+    return replace(robot, bodies=tuple(bodies))
 
 
 def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot description completed with all data of MuJoCo's USD schemas."""
     robot = replace(robot, static_sites=(*robot.static_sites, *distinct(robot.sites, world_sites(stage, links))))
     robot = mjc.with_wraps(stage, links, robot)
-    hulls = {g.mesh: found for g in robot.geoms if g.mesh and (found := hull_size(stage, g))}
+    hulls = dict[str, dict[str, int]]()
+    for geom in robot.geoms:
+        if geom.mesh:  # the most vertices of a mesh's convex hull
+            found = mjc.attributes(stage, stage.usd.GetPrimAtPath(geom.path), HULLS)
+            if sizes := {key: value for key, value in found.items() if isinstance(value, int) and value > 0}:
+                hulls[geom.mesh] = sizes
+    bodies = []
+    for body in robot.bodies:
+        found = mjc.attributes(stage, stage.usd.GetPrimAtPath(body.path), {"mjc:body:gravcomp": "gravcomp"})
+        dofs, geoms = [_dof(stage, dof) for dof in body.dofs], [with_geom_extra(stage, geom) for geom in body.geoms]
+        bodies.append(replace(body, dofs=tuple(dofs), geoms=tuple(geoms), extra={**body.extra, **found}))
     robot = replace(
         robot,
-        bodies=tuple(with_body_extra(stage, body) for body in robot.bodies),
+        bodies=tuple(bodies),
         static_geoms=tuple(with_geom_extra(stage, geom) for geom in robot.static_geoms),
         closures=tuple(with_closure_extra(stage, closure) for closure in robot.closures),
         meshes=tuple(replace(m, extra={**m.extra, **hulls[m.name]}) if m.name in hulls else m for m in robot.meshes),
     )
-    dofs = single_dofs(robot)
-    names = {path: dof.name for path, dof in dofs.items()}
+    count = Counter(dof.path for dof in robot.dofs)
+    single = {dof.path: dof for dof in robot.dofs if count[dof.path] == 1}
+    names = {path: dof.name for path, dof in single.items()}
     sites = {site.path: site.name for site in robot.sites}
     shapes = {geom.path: geom.name for geom in robot.geoms}
     tendons = distinct(robot.tendons, mjc.read_tendons(stage, names, sites, shapes))
     ranged = {dof.name for dof in robot.dofs if dof.range} | {t.name for t in (*robot.tendons, *tendons) if t.range}
-    targets = mjc.Targets(
-        ranged=ranged,
-        joints=names,
-        tendons={tendon.path: tendon.name for tendon in tendons},
-        sites=sites,
-        bodies={body.path: body.name for body in robot.bodies},
-    )
-    couplings = distinct(robot.couplings, read_couplings(stage, dofs))
+    elements: dict[str, tuple[mjc.Transmission, str]] = {body.path: ("body", body.name) for body in robot.bodies}
+    elements |= {path: ("site", name) for path, name in sites.items()}
+    elements |= {tendon.path: ("tendon", tendon.name) for tendon in tendons}
+    elements |= {path: ("joint", name) for path, name in names.items()}
+    couplings = distinct(robot.couplings, read_couplings(stage, single))
     robot = replace(
         robot,
         tendons=(*robot.tendons, *tendons),
         couplings=(*robot.couplings, *couplings),
-        actuators=(*robot.actuators, *mjc.read_actuators(stage, targets)),
+        actuators=(*robot.actuators, *mjc.read_actuators(stage, elements, ranged)),
     )
     # If a USD joint has a MuJoCo actuator and a USD drive, the MuJoCo actuator has priority.
     driven = {item.target for item in robot.actuators if item.transmission in ("joint", "jointinparent")}
@@ -295,9 +271,3 @@ def distinct(known: Iterable[desc.Dof | Part], parts: Iterable[Part]) -> tuple[P
     """Return ``parts`` with unique names: a name that ``known`` already contains gets a number as suffix."""
     names = desc.Numbered(item.name for item in known)
     return tuple(replace(part, name=names.take(part.name)) for part in parts)
-
-
-def single_dofs(robot: desc.RobotDescription) -> dict[str, desc.Dof]:
-    """Return the degree of freedom of each joint that has exactly one degree of freedom, by prim path."""
-    count = Counter(dof.path for dof in robot.dofs)
-    return {dof.path: dof for dof in robot.dofs if count[dof.path] == 1}

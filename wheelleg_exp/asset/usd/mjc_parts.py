@@ -7,8 +7,8 @@ range, the other end is 0. A keyframe's arrays are in the order of the MuJoCo mo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -45,10 +45,7 @@ def indices(stage: Stage, prim: Usd.Prim, name: str, became: str) -> list[int]:
 
 
 def attributes(stage: Stage, prim: Usd.Prim, names: Mapping[str, str]) -> dict[str, Attribute]:
-    """Return a prim's authored attributes for the MJCF; ``names`` maps USD attribute names to MJCF attribute names.
-
-    Values that are not finite are omitted, because they stand for MuJoCo's defaults.
-    """
+    """Return a prim's authored, finite attributes for the MJCF; ``names`` maps USD names to MJCF names."""
     found: dict[str, Attribute] = {}
     for name, became in names.items():
         value = stage.ledger.read(prim, name, became)
@@ -109,6 +106,8 @@ def leave(stage: Stage, prim: Usd.Prim, name: str, reason: str) -> None:
 
 
 Transmission = Literal["joint", "jointinparent", "tendon", "site", "body", "cranksite"]
+# MJCF transmissions and names, by prim path, of all elements that an actuator can drive
+Targets = Mapping[str, tuple[Transmission, str]]
 ACTUATOR = "MjcActuator"
 TYPES = {  # MJCF's words
     "dynType": {"none", "integrator", "filter", "filterexact", "muscle", "user"},
@@ -119,52 +118,35 @@ _OF_ACTUATORS = "group actDim actEarly crankLength inheritRange"
 ACTUATOR_ATTRIBUTES = {f"mjc:{name}": name.lower() for name in _OF_ACTUATORS.split()}
 
 
-@dataclass(frozen=True)
-class Targets:
-    """MJCF names, by prim path, of all elements that an actuator can drive; ``ranged`` names elements with limits."""
-
-    ranged: set[str] = field(default_factory=set)
-    joints: dict[str, str] = field(default_factory=dict)
-    tendons: dict[str, str] = field(default_factory=dict)
-    sites: dict[str, str] = field(default_factory=dict)
-    bodies: dict[str, str] = field(default_factory=dict)
-
-    def find(self, path: str) -> tuple[Transmission, str] | None:
-        """Return the MJCF transmission of an actuator and the name of its target; None if the MJCF lacks the target."""
-        kinds: tuple[Transmission, ...] = ("joint", "tendon", "site", "body")
-        pairs = zip(kinds, (self.joints, self.tendons, self.sites, self.bodies), strict=True)
-        return next(((kind, names[path]) for kind, names in pairs if path in names), None)
+def read_actuators(stage: Stage, targets: Targets, ranged: set[str]) -> Iterator[desc.Actuator]:
+    """Yield the actuators whose targets the MJCF contains; ``ranged`` names the joints and tendons with limits."""
+    for prim, name in named(stage.of_type(ACTUATOR)):
+        found = _actuator(stage, prim, name, targets, ranged)
+        if isinstance(found, str):
+            stage.ledger.leave_and_warn(prim.GetPath(), ACTUATOR, found, "this actuator")
+        else:
+            yield found
 
 
-def read_actuators(stage: Stage, targets: Targets) -> tuple[desc.Actuator, ...]:
-    """Return the USD stage's actuators, except those whose joint, tendon, site, or body the MJCF lacks."""
-    prims = named(stage.of_type(ACTUATOR))
-    return tuple(filter(None, (_actuator(stage, prim, name, targets) for prim, name in prims)))
-
-
-def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc.Actuator | None:
-    def leave_out(reason: str) -> None:
-        stage.ledger.leave_and_warn(prim.GetPath(), ACTUATOR, reason, "this actuator")
-
+def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets, ranged: set[str]) -> desc.Actuator | str:
+    """Return an actuator, or the reason why it is left out."""
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
-    target = targets.find(paths[0]) if paths else None
-    if target is None:
-        leave_out("its target is not in the model")
-        return None
+    if not paths or paths[0] not in targets:
+        return "its target is not in the model"
     kinds = {key: stage.ledger.read(prim, f"mjc:{key}", key.lower()) for key in TYPES}
     strange = [f"{key} {kind}" for key, kind in kinds.items() if kind is not None and kind not in TYPES[key]]
     if strange:
-        leave_out(f"MuJoCo has no {', '.join(strange)}")
-        return None
-    transmission, name_of_target = target
+        return f"MuJoCo has no {', '.join(strange)}"
+    transmission, name_of_target = targets[paths[0]]
     extra: dict[str, Attribute] = {}
     if transmission == "site":
-        sites = _sites(stage, prim, targets)
-        if sites is None:
-            leave_out("a site that it names is not in the model")
-            return None
-        extra |= sites
-        transmission = "cranksite" if "slidersite" in sites else "site"
+        for attribute, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
+            for path in stage.ledger.targets(prim, attribute, became)[:1]:
+                kind_of_target, site = targets.get(str(path), ("", ""))
+                if kind_of_target != "site":
+                    return "a site that it names is not in the model"
+                extra[became] = site
+        transmission = "cranksite" if "slidersite" in extra else "site"
     if transmission == "joint" and stage.ledger.read(prim, "mjc:jointInParent", "jointinparent"):
         transmission = "jointinparent"
     extra |= {key.lower(): kind for key, kind in kinds.items() if kind is not None}
@@ -179,22 +161,12 @@ def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets) -> desc
     if any(end is not None for end in ends):
         found["lengthrange"] = tuple(float(end or 0.0) for end in ends)
     extra |= found | attributes(stage, prim, ACTUATOR_ATTRIBUTES)
-    if extra.get("inheritrange") and name_of_target not in targets.ranged:
+    if extra.get("inheritrange") and name_of_target not in ranged:
         reason = f"{name_of_target} has no limits that the controls could inherit"
-        stage.ledger.leave(prim.GetPath(), "mjc:inheritRange", reason, extra.pop("inheritrange"))
-        stage.ledger.warn(f"{prim.GetPath()}: mjc:inheritRange was left out: {reason}")
+        inherited = extra.pop("inheritrange")
+        stage.ledger.leave_and_warn(prim.GetPath(), "mjc:inheritRange", reason, "mjc:inheritRange", inherited)
     stage.ledger.mapped(prim.GetPath(), ACTUATOR, f"actuator {name}")
     return desc.Actuator(name, str(prim.GetPath()), transmission, name_of_target, extra)
-
-
-def _sites(stage: Stage, prim: Usd.Prim, targets: Targets) -> dict[str, Attribute] | None:
-    found: dict[str, Attribute] = {}
-    for name, became in (("mjc:refSite", "refsite"), ("mjc:sliderSite", "slidersite")):
-        for path in stage.ledger.targets(prim, name, became)[:1]:
-            if str(path) not in targets.sites:
-                return None
-            found[became] = targets.sites[str(path)]
-    return found
 
 
 TENDON = "MjcTendon"
@@ -205,30 +177,26 @@ DRAWN = {"mjc:width": "width", "mjc:rgba": "rgba"}
 OF_SPATIAL = (*DRAWN, "mjc:path:segments", "mjc:path:divisors", "mjc:sideSites:indices")
 
 
-def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> tuple[desc.Tendon, ...]:
-    """Return the USD stage's tendons, except those with a site, geom, or joint that the MJCF lacks."""
-    prims = named(stage.of_type(TENDON))
-    return tuple(filter(None, (_tendon(stage, prim, name, joints, sites, geoms) for prim, name in prims)))
-
-
-def _tendon(stage: Stage, prim: Usd.Prim, name: str, joints: Names, sites: Names, geoms: Names) -> desc.Tendon | None:
-    fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
-    try:
-        factors = _factors(stage, prim, joints) if fixed else ()
-        points = () if fixed else _points(stage, prim, sites, geoms)
-    except _BrokenPath as error:
-        stage.ledger.leave_and_warn(prim.GetPath(), TENDON, str(error), "this tendon")
-        return None
-    extra = attributes(stage, prim, TENDON_ATTRIBUTES | ({} if fixed else DRAWN))
-    for other in OF_SPATIAL if fixed else ("mjc:path:coef",):
-        leave(stage, prim, other, "only spatial tendons have it" if fixed else "only fixed tendons have it")
-    bounds = limits(stage, prim, "mjc:range", "mjc:limited", "range")
-    extra |= limits(stage, prim, "mjc:actuatorfrcrange", "mjc:actuatorfrclimited", "actuatorfrcrange")
-    extra |= {key: value for key, value in bounds.items() if key != "range"}
-    stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
-    span = bounds.get("range")
-    length = (span[0], span[1]) if isinstance(span, tuple) else None
-    return desc.Tendon(name, str(prim.GetPath()), points, factors, length, extra)
+def read_tendons(stage: Stage, joints: Names, sites: Names, geoms: Names) -> Iterator[desc.Tendon]:
+    """Yield the USD stage's tendons, except those with a site, geom, or joint that the MJCF lacks."""
+    for prim, name in named(stage.of_type(TENDON)):
+        fixed = stage.ledger.read(prim, "mjc:type", "fixed or spatial") == "fixed"
+        try:
+            factors = _factors(stage, prim, joints) if fixed else ()
+            points = () if fixed else _points(stage, prim, sites, geoms)
+        except _BrokenPath as error:
+            stage.ledger.leave_and_warn(prim.GetPath(), TENDON, str(error), "this tendon")
+            continue
+        extra = attributes(stage, prim, TENDON_ATTRIBUTES | ({} if fixed else DRAWN))
+        for other in OF_SPATIAL if fixed else ("mjc:path:coef",):
+            leave(stage, prim, other, "only spatial tendons have it" if fixed else "only fixed tendons have it")
+        bounds = limits(stage, prim, "mjc:range", "mjc:limited", "range")
+        extra |= limits(stage, prim, "mjc:actuatorfrcrange", "mjc:actuatorfrclimited", "actuatorfrcrange")
+        extra |= {key: value for key, value in bounds.items() if key != "range"}
+        stage.ledger.mapped(prim.GetPath(), TENDON, f"tendon {name}")
+        span = bounds.get("range")
+        length = (span[0], span[1]) if isinstance(span, tuple) else None
+        yield desc.Tendon(name, str(prim.GetPath()), points, factors, length, extra)
 
 
 class _BrokenPath(Exception):
@@ -320,15 +288,8 @@ KEYFRAME = "MjcKeyframe"
 KEYFRAME_ATTRIBUTES = {f"mjc:{name}": name for name in ("qpos", "qvel", "act", "ctrl", "mpos", "mquat")}
 
 
-def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> tuple[desc.Keyframe, ...]:
-    """Return the keyframes whose arrays fit the robot's numbers of coordinates, velocities, and controls."""
-    prims = named(stage.of_type(KEYFRAME))
-    return tuple(filter(None, (_keyframe(stage, prim, name, robot) for prim, name in prims)))
-
-
-def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescription) -> desc.Keyframe | None:
-    extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
-    # Count the positions, velocities, and controls of the robot, because a keyframe's arrays must have these lengths.
+def read_keyframes(stage: Stage, robot: desc.RobotDescription) -> Iterator[desc.Keyframe]:
+    """Yield the keyframes whose arrays fit the robot's numbers of coordinates, velocities, and controls."""
     free = sum(body.floating for body in robot.bodies)
     balls = sum(dof.kind == "ball" for dof in robot.dofs)
     single = len(robot.dofs) - balls
@@ -338,19 +299,21 @@ def _keyframe(stage: Stage, prim: Usd.Prim, name: str, robot: desc.RobotDescript
         own = actuator.extra.get("actdim", -1)
         stateful = actuator.extra.get("dyntype", "none") != "none"
         states += own if isinstance(own, int) and own >= 0 else int(stateful)
-    controls = len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs)
-    for key, count in {
+    counts = {
         "qpos": 7 * free + 4 * balls + single,
         "qvel": 6 * free + 3 * balls + single,
-        "ctrl": controls,
+        "ctrl": len(robot.actuators) + sum(dof.drive is not None for dof in robot.dofs),
         "act": states,
         "mpos": 3 * mocap,
         "mquat": 4 * mocap,
-    }.items():
-        value = extra.get(key)
-        if isinstance(value, tuple) and len(value) != count:
-            reason = f"its {key} has {len(value)} numbers, the model {count}"
+    }
+    for prim, name in named(stage.of_type(KEYFRAME)):
+        extra = attributes(stage, prim, KEYFRAME_ATTRIBUTES)
+        sizes = {key: len(value) for key, value in extra.items() if isinstance(value, tuple)}
+        wrong = next((key for key in counts if sizes.get(key, counts[key]) != counts[key]), None)
+        if wrong is not None:
+            reason = f"its {wrong} has {sizes[wrong]} numbers, the model {counts[wrong]}"
             stage.ledger.leave_and_warn(prim.GetPath(), KEYFRAME, reason, "this keyframe")
-            return None
-    stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
-    return desc.Keyframe(name, str(prim.GetPath()), extra)
+            continue
+        stage.ledger.mapped(prim.GetPath(), KEYFRAME, f"keyframe {name}")
+        yield desc.Keyframe(name, str(prim.GetPath()), extra)

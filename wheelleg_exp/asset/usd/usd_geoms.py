@@ -6,6 +6,7 @@ USD's collision filters (joints, filtered pairs, collision groups) become MJCF `
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations, combinations_with_replacement, product
@@ -13,7 +14,7 @@ from itertools import combinations, combinations_with_replacement, product
 import numpy as np
 from pxr import Sdf, UsdGeom, UsdPhysics
 
-from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, file_stem, unique_names
+from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, unique_names
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
 from wheelleg_exp.asset.usd.bodies.roots import Graph
 from wheelleg_exp.asset.usd.colliders import Piece
@@ -23,13 +24,11 @@ from wheelleg_exp.asset.usd.materials import Looks, friction_of
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 SMALLEST_VOLUME = 1e-13  # m³
+LONGEST_FILE = 100  # characters
 
 
 class Geoms:
-    """Convert the shapes of a USD stage to MuJoCo geoms, grouped by body.
-
-    ``bits`` maps the prim paths of shapes to the collision bits of their geoms.
-    """
+    """Convert shapes to MuJoCo geoms, grouped by body; ``bits`` maps prim paths of shapes to collision bits."""
 
     def __init__(self, stage: Stage, pieces: list[Piece], bits: Mapping[str, Extra]) -> None:
         self.stage, self.looks, self.bits = stage, Looks(stage), bits
@@ -94,7 +93,8 @@ class Geoms:
         faces = shape.faces if shape.faces is not None and len(shape.faces) else np.zeros((0, 3), dtype=np.int64)
         key = hashlib.sha256(vertices.tobytes() + faces.astype(np.int64).tobytes() + bytes([solid])).hexdigest()
         if key not in self.meshes:
-            stem = file_stem(name)
+            # Mesh file names are cut to 100 characters, because most file systems allow at most 255 bytes.
+            stem = re.sub(r"[^\w-]", "_", name, flags=re.ASCII)[:LONGEST_FILE].strip("_") or "mesh"
             self.meshes[key] = Mesh(stem + self._files.take(stem.lower())[len(stem) :], vertices, faces, solid)
         return self.meshes[key].name
 
@@ -125,14 +125,6 @@ MANY = 300  # excludes of bodies
 BITS = 31  # of MuJoCo's 32 bits
 
 
-@dataclass(frozen=True)
-class Filters:
-    """Collision filters: pairs of bodies that never touch, and collision bits of geoms by the shape's prim path."""
-
-    pairs: tuple[tuple[str, str], ...]
-    bits: Mapping[str, Extra]
-
-
 @dataclass
 class _Rules:
     """The collision rules: pairs of sets of shapes that never touch; each set contains the prim paths of its shapes."""
@@ -144,10 +136,7 @@ class _Rules:
             self.sides.append((first, second))
 
     def classes(self, shapes: Iterable[str]) -> dict[str, int]:
-        """Number the shapes by their collision rules: shapes with the same number have the same rules.
-
-        A shape gets the number 0 if no collision rule applies to it.
-        """
+        """Number the shapes by their collision rules: equal rules give equal numbers, and no rule gives 0."""
         known: dict[tuple[int, ...], int] = {(): 0}
         member: dict[str, list[int]] = {}
         for index, pair in enumerate(self.sides):
@@ -167,10 +156,11 @@ class _Rules:
 
 def read_filters(
     stage: Stage, links: Links, joints: list[Joint], pieces: list[Piece], quiet: list[frozenset[str]] | None
-) -> Filters:
-    """Return the USD stage's collision filters; two bodies with a common joint touch only if the joint allows it.
+) -> tuple[tuple[tuple[str, str], ...], Mapping[str, Extra]]:
+    """Return the pairs of bodies that never touch, and collision bits of geoms by the shape's prim path.
 
-    ``quiet`` are sets of bodies, by path, that do not touch each other; None: no two bodies touch.
+    Two bodies with a common joint touch only if the joint allows it. ``quiet`` are sets of bodies, by path, that do not
+    touch each other; None: no two bodies touch.
     """
     solid = {piece.path: piece for piece in pieces if piece.collides}
     rules = _Rules()
@@ -193,7 +183,7 @@ def read_filters(
         if not excludes_suffice:
             stage.ledger.warn(f"too many kinds of collision filters for MuJoCo's bits: {len(partly)} pairs may touch")
         pairs |= {_ordered(order, a, b): None for a, b in whole}
-        return Filters(tuple(pairs), {})
+        return tuple(pairs), {}
     # In MuJoCo's contype, bit 0 is for unfiltered shapes; shapes with equal USD collision filters share a bit.
     self_collision = quiet is not None
     bit = {kind: 1 << (index + 1) for index, kind in enumerate(apart)}
@@ -205,7 +195,7 @@ def read_filters(
         touches = everybody - sum(bit[other] for other in apart if (kind, other) in forbidden)
         own = bit.get(kind, 1)
         out[path] = {"contype": own if self_collision or piece.link is None else 0, "conaffinity": touches}
-    return Filters(tuple(pairs), out)
+    return tuple(pairs), out
 
 
 def _ordered(order: Mapping[str, int], a: str, b: str) -> tuple[str, str]:
@@ -272,10 +262,7 @@ GROUP_PROPERTIES = ("physics:filteredGroups", "physics:mergeGroup", "physics:inv
 def _body_pairs(
     solid: Mapping[str, Piece], classes: Mapping[str, int], forbidden: set[tuple[int, int]]
 ) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Return the body pairs that can never touch, and the body pairs of which only some shapes can touch.
-
-    To save time, bodies whose shapes have equal collision rules are checked together.
-    """
+    """Return the body pairs that can never touch, and the body pairs of which only some shapes can touch."""
     if not forbidden:
         return [], []
     kinds: dict[str, set[int]] = {}

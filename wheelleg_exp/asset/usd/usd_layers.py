@@ -22,10 +22,7 @@ from wheelleg_exp.errors import AssetError
 
 
 def open_layers(source: Path) -> list[Sdf.Layer]:
-    """Open all layers of a USD stage, with the layers of all variants.
-
-    Keep the returned list, because USD closes the layers when the list is deleted.
-    """
+    """Open the layers of a USD stage and of its variants. Keep the list: USD closes layers that nobody refers to."""
     identifier = str(source.resolve())
     require_plain_file(source, "a layer of USD")
     with Ar.ResolverContextBinder(Ar.GetResolver().CreateDefaultContextForAsset(identifier)):

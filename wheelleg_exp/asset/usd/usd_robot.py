@@ -38,9 +38,21 @@ MOST_DIGITS = 9
 def shortened(stage: Stage, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot with each single-precision number replaced by its shortest decimal, such as 0.0425."""
     coarse = all(_is_single(prim) for prim in stage.prims)
-    bodies = tuple(_short_body(stage, body, coarse) for body in robot.bodies)
+    bodies = []
+    for body in robot.bodies:
+        # Do not round the moments of inertia, because the three moments must satisfy the triangle inequality.
+        inertial, (w, x, y, z) = body.inertial, _shortest(body.inertial.axes, 1.0)
+        center = _short_vector(inertial.center_of_mass)
+        changed = replace(
+            body,
+            pose=_short_pose(body.pose) if body.parent is not None or coarse else body.pose,
+            inertial=replace(inertial, center_of_mass=center, axes=(w, x, y, z)),
+            dofs=tuple(_short_dof(stage, dof) for dof in body.dofs),
+            geoms=tuple(map(_short_geom, body.geoms)) if coarse else body.geoms,
+        )
+        bodies.append(changed)
     static = tuple(_short_geom(geom) for geom in robot.static_geoms) if coarse else robot.static_geoms
-    return replace(robot, bodies=bodies, static_geoms=static)
+    return replace(robot, bodies=tuple(bodies), static_geoms=static)
 
 
 def _is_single(prim: Usd.Prim) -> bool:
@@ -53,19 +65,6 @@ def _is_single(prim: Usd.Prim) -> bool:
             if not np.array_equal(numbers, numbers.astype(np.float32)):
                 return False
     return True
-
-
-def _short_body(stage: Stage, body: desc.Body, coarse: bool) -> desc.Body:
-    by_joint = body.parent is not None
-    # Do not round the moments of inertia, because the three moments must satisfy the triangle inequality.
-    w, x, y, z = _shortest(body.inertial.axes, 1.0)
-    return replace(
-        body,
-        pose=_short_pose(body.pose) if by_joint or coarse else body.pose,
-        inertial=replace(body.inertial, center_of_mass=_short_vector(body.inertial.center_of_mass), axes=(w, x, y, z)),
-        dofs=tuple(_short_dof(stage, dof) for dof in body.dofs),
-        geoms=tuple(_short_geom(geom) for geom in body.geoms) if coarse else body.geoms,
-    )
 
 
 def _short_dof(stage: Stage, dof: desc.Dof) -> desc.Dof:
@@ -135,15 +134,15 @@ def read_usd(source: Path, base: desc.BaseMode, variants: Mapping[str, str]) -> 
 def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     """Return the robot description of an open USD stage."""
     links = find_links(stage)
-    joints = read_joints(stage, links)
+    joints = list(read_joints(stage, links))
     tree = build_tree(stage, links, [joint for joint in joints if joint.kind != DISTANCE], base)
     ropes, pieces = read_ropes(stage, joints), find_pieces(stage, links)
     # If the robot's colliders can never touch each other, one MJCF default class disables self-collision.
     quiet = quiet_parts(stage, Graph(links, joints))
     solid = {piece.link.path for piece in pieces if piece.link and piece.collides}
     touching = len(quiet) != 1 or not solid <= quiet[0]
-    filters = read_filters(stage, links, joints, pieces, quiet if touching else None)
-    shapes, sites = Geoms(stage, pieces, filters.bits), find_sites(stage, links)
+    exclusions, bits = read_filters(stage, links, joints, pieces, quiet if touching else None)
+    shapes, sites = Geoms(stage, pieces, bits), find_sites(stage, links)
     dofs = {node.link.path: dofs_of(stage, node, bool(tree.closures)) for node in tree.nodes}
     bodies = []
     for node in desc.depth_first(
@@ -159,9 +158,9 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
         gravity=gravity(stage),
         static_geoms=shapes.of(None),
         static_sites=tuple(ropes.sites.get(None, ())),
-        exclusions=filters.pairs,
+        exclusions=exclusions,
         closures=(*read_closures(stage, tree.closures), *ropes.closures),
-        couplings=read_mimics(stage, [dof for body in bodies for dof in body.dofs]),
+        couplings=tuple(read_mimics(stage, [dof for body in bodies for dof in body.dofs])),
         tendons=tuple(ropes.tendons),
         materials=tuple(shapes.materials.values()),
         meshes=tuple(shapes.meshes.values()),

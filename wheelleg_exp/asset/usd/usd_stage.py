@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils
@@ -30,7 +31,7 @@ ENDLESS_LENGTH = 1e6
 
 @dataclass(frozen=True)
 class Units:
-    """Factors of a stage: metres per unit, kilograms per unit, and the up axis."""
+    """Metres per unit, kilograms per unit, and up axis of a stage; the methods convert numbers to SI units."""
 
     meters: float
     kilograms: float
@@ -44,37 +45,33 @@ class Units:
         return out
 
     def mass(self, value: float) -> float:
-        """Convert a mass to kg."""
         return value * self.kilograms
 
     def density(self, value: float) -> float:
-        """Convert a density to kg/m³."""
         return value * self.kilograms / self.meters**3
 
     def inertia(self, value: float) -> float:
-        """Convert a moment of inertia from stage units to kg·m²."""
         return value * self.kilograms * self.meters**2
 
     def coordinate(self, value: float, angular: bool) -> float:
-        """Convert a joint coordinate or velocity from USD's degrees or stage lengths to rad or m."""
+        """Convert a joint coordinate or velocity, in degrees or stage lengths."""
         return rounded(math.radians(value) if angular else value * self.meters)
 
     def effort(self, value: float, angular: bool) -> float:
-        """Convert a torque or force from stage units to N·m or N."""
         return rounded(value * self.kilograms * self.meters ** (2 if angular else 1))
 
     def gain(self, value: float, angular: bool) -> float:
-        """Convert a stiffness or damping from per degree or per stage length to per rad or per m."""
+        """Convert a stiffness or damping, per degree or per stage length."""
         if angular:
             return rounded(math.degrees(value) * self.kilograms * self.meters**2)
         return rounded(value * self.kilograms)
 
     def rotor(self, value: float, angular: bool) -> float:
-        """Convert a joint's armature from stage units to kg·m² or kg."""
+        """Convert a joint's armature."""
         return rounded(self.inertia(value) if angular else self.mass(value))
 
 
-def given(value: float | None) -> bool:
+def given(value: float | None) -> TypeGuard[float]:
     """Return whether a mass or density is given: authored, finite, and positive."""
     return value is not None and value > 0 and math.isfinite(value)
 
@@ -92,10 +89,7 @@ def effort_limit(value: float | None) -> float | None:
 
 
 def choose(usd: Usd.Stage, variants: Mapping[str, str]) -> dict[str, str]:
-    """Select USD variants in the stage's session layer, and return the selected variant of each variant set.
-
-    Each variant is selected on the first prim with the variant set, searched from the default prim downwards.
-    """
+    """Select each USD variant on the first prim with its set; return the selected variant of each variant set."""
     root = usd.GetDefaultPrim() or usd.GetPseudoRoot()
     usd.SetEditTarget(usd.GetSessionLayer())
     chosen = {}
@@ -269,10 +263,16 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
             walk.PruneChildren()
         expected = "one robot: set its prim as the default prim"
         require_size(len(prims), MOST_PRIMS, f"prims below {root.GetPath()}", where=str(source), expected=expected)
+    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
+    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
+        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
+            expected = "a positive number, such as 1 or 0.01"
+            raise AssetError(f"the USD unit {name} = {value:g} is invalid", where=str(source), expected=expected)
     missing = find_missing(usd, source)
     require_physics(usd, prims, missing, source)
     names = tuple(item.name for item in missing)
-    stage = Stage(usd, source, _units(usd, source), root, prims, _hashes(usd, source), names, variants)
+    units = Units(length, mass, UsdGeom.GetStageUpAxis(usd))
+    stage = Stage(usd, source, units, root, prims, _hashes(usd, source), names, variants)
     for item in missing:
         what = "not found" if item.is_file else f"{item.prims[0]}: not found or a cycle"
         stage.ledger.warn(f"{what}, read without it: {item.name}")
@@ -297,15 +297,6 @@ def _collect(usd: Usd.Stage, source: Path, variants: dict[str, str]) -> Stage:
         if layer.startswith("../") or Path(layer).is_absolute():
             ledger.assume(name, f"a layer outside the file's folder is read: {layer}", "as the file asks")
     return stage
-
-
-def _units(usd: Usd.Stage, source: Path) -> Units:
-    length, mass = UsdGeom.GetStageMetersPerUnit(usd), UsdPhysics.GetStageKilogramsPerUnit(usd)
-    for name, value in (("metersPerUnit", length), ("kilogramsPerUnit", mass)):
-        if not (math.isfinite(value) and 1e-9 <= value <= 1e9):
-            expected = "a positive number, such as 1 or 0.01"
-            raise AssetError(f"the USD unit {name} = {value:g} is invalid", where=str(source), expected=expected)
-    return Units(length, mass, UsdGeom.GetStageUpAxis(usd))
 
 
 def _hashes(usd: Usd.Stage, source: Path) -> dict[str, str]:

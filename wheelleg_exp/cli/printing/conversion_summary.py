@@ -103,14 +103,12 @@ def _few(names: Sequence[str], most: int = NAMED, more: str = "") -> str:
 
 def _joints(conversion: Conversion) -> Iterator[tuple[str, ...]]:
     """Yield a table row in SI units for each joint; add the robot file's original values if they differ."""
-    from wheelleg_exp.asset.robot_values import effort_of
-
     report, robot = conversion.report, conversion.description
     # Find the joints that an actuator of the MJCF file drives.
     acting = {item.target: "actuator" for item in robot.actuators if item.transmission.startswith("joint")}
     for dof in robot.dofs:
         drive, (unit, unit_of_range) = dof.drive, ("N", "m") if dof.kind == "slide" else ("N m", "rad")
-        effort = effort_of(dof)
+        effort = dof.effort
         force = "motor" if drive else acting.get(dof.name, "")
         limits = "unlimited"
         if dof.range is not None:

@@ -55,11 +55,6 @@ class Tree:
     closures: list[Joint] = field(default_factory=list)
 
 
-def drawn_in_parent(node: Node) -> Frame:
-    """Return the pose of a body in its parent body, as drawn in the USD file."""
-    return (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
-
-
 HINGE_REACH = 0.05  # m
 CLOSE = 1e-4  # m and rad
 
@@ -106,44 +101,33 @@ def _driven(joint: Joint) -> bool:
     return any(name.startswith("PhysicsDriveAPI") for name in schemas(joint.prim))
 
 
-def read_closures(stage: Stage, joints: list[Joint]) -> tuple[Closure, ...]:
-    """Replace joints that close kinematic loops by MuJoCo equality constraints."""
-    return tuple(filter(None, (_closure(stage, joint) for joint in joints)))
-
-
-def _closure(stage: Stage, joint: Joint) -> Closure | None:
-    _leave_coordinates(stage, joint)
-    if any(axis.kind == "slide" for axis in joint.axes):
-        stage.ledger.leave(joint.path, joint.kind, "a sliding joint that closes a loop")
-        stage.ledger.warn(f"{joint.path}: a sliding joint closes a loop and was left out; MuJoCo has no such equality")
-        return None
-    if len(joint.axes) > 1:
-        stage.ledger.warn(f"{joint.path}: closes a loop with {len(joint.axes)} axes; only its point is kept")
-    equality: Literal["weld", "connect"] = "weld" if joint.welds else "connect"
-    stage.ledger.mapped(joint.path, joint.kind, f"equality {equality}")
-    first, second = (link.name if link else None for link in joint.links)
-    return Closure(joint.name, joint.path, equality, (first, second), tuple(_anchors(joint)))
-
-
-def _anchors(joint: Joint) -> Iterator[tuple[Pose, Pose]]:
-    first, second = joint.frames
-    yield first.pose(), second.pose()
-    if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
-        along = Frame(np.eye(3), HINGE_REACH * np.array(joint.axes[0].axis))
-        yield (first @ along).pose(), (second @ along).pose()
+def read_closures(stage: Stage, joints: list[Joint]) -> Iterator[Closure]:
+    """Yield the MuJoCo equality constraints that replace joints that close kinematic loops."""
+    for joint in joints:
+        for name in (prop.GetName() for prop in joint.prim.GetAuthoredProperties()):
+            if name.startswith(OF_COORDINATES) or (name.startswith("limit:") and joint.axes):
+                reason = "the joint closes a loop, so it has no coordinate in the model"
+                stage.ledger.leave(joint.path, name, reason)
+        if _driven(joint):
+            stage.ledger.warn(f"{joint.path}: its drive is lost, because the joint closes a loop")
+        if any(axis.kind == "slide" for axis in joint.axes):
+            stage.ledger.leave(joint.path, joint.kind, "a sliding joint that closes a loop")
+            text = "a sliding joint closes a loop and was left out; MuJoCo has no such equality"
+            stage.ledger.warn(f"{joint.path}: {text}")
+            continue
+        if len(joint.axes) > 1:
+            stage.ledger.warn(f"{joint.path}: closes a loop with {len(joint.axes)} axes; only its point is kept")
+        equality: Literal["weld", "connect"] = "weld" if joint.welds else "connect"
+        stage.ledger.mapped(joint.path, joint.kind, f"equality {equality}")
+        places = [Frame.identity()]
+        if len(joint.axes) == 1 and joint.axes[0].kind == "hinge":
+            places.append(Frame(np.eye(3), HINGE_REACH * np.array(joint.axes[0].axis)))
+        anchors = tuple(((joint.frames[0] @ at).pose(), (joint.frames[1] @ at).pose()) for at in places)
+        first, second = (link.name if link else None for link in joint.links)
+        yield Closure(joint.name, joint.path, equality, (first, second), anchors)
 
 
 OF_COORDINATES = ("drive:", "state:", "physics:lowerLimit", "physics:upperLimit", "physxJoint", "newton:")
-
-
-def _leave_coordinates(stage: Stage, joint: Joint) -> None:
-    reason = "the joint closes a loop, so it has no coordinate in the model"
-    for prop in joint.prim.GetAuthoredProperties():
-        name = prop.GetName()
-        if name.startswith(OF_COORDINATES) or (name.startswith("limit:") and joint.axes):
-            stage.ledger.leave(joint.path, name, reason)
-    if _driven(joint):
-        stage.ledger.warn(f"{joint.path}: its drive is lost, because the joint closes a loop")
 
 
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
@@ -158,7 +142,11 @@ def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) 
     _articulate(stage, articulated(stage, Graph(links, joints)))
     released: list[Link] = []
     if base == "floating":
-        joints, released = _unpinned(stage, joints)
+        dropped = [joint for joint in joints if None in joint.links and joint.welds]
+        for joint in dropped:
+            stage.ledger.leave(joint.path, joint.kind, "--base floating drops the joint to the world")
+        joints = [joint for joint in joints if joint not in dropped]
+        released = [link for joint in dropped for link in joint.links if link]
     settled: set[str] = set()
     # Each time a better joint for opening a kinematic loop is found, build the spanning tree again.
     while True:
@@ -214,18 +202,6 @@ def _articulate(stage: Stage, joints: list[Joint]) -> None:
             joint.may_collide = False
             rule = "PhysX ignores collisionEnabled of joints inside an articulation"
             stage.ledger.assume(joint.path, rule, "the joined bodies do not touch")
-
-
-def _unpinned(stage: Stage, joints: list[Joint]) -> tuple[list[Joint], list[Link]]:
-    kept: list[Joint] = []
-    released: list[Link] = []
-    for joint in joints:
-        if None in joint.links and joint.welds:
-            stage.ledger.leave(joint.path, joint.kind, "--base floating drops the joint to the world")
-            released += [link for link in joint.links if link]
-        else:
-            kept.append(joint)
-    return kept, released
 
 
 class _Builder:
@@ -289,7 +265,10 @@ class _Builder:
 
     def _close(self) -> None:
         """Convert joints outside the spanning tree to loop closures, or to further joints of their child bodies."""
-        said = _joints_add_up(self.stage)
+        # Whether parallel joints between two bodies add their degrees of freedom; None if the file does not say it.
+        read, use = self.stage.ledger.read, "several joints of one body"
+        given = [read(prim, "newton:jointsAddMobility", use) for prim in self.stage.prims if schemas(prim)]
+        said = None if all(value is None for value in given) else any(given)
         edges = {(id(n.joint.links[0]), id(n.joint.links[1])): n for n in self.tree.nodes if n.joint}
         for joint in self.graph.joints:
             if joint.path in self._used:
@@ -304,11 +283,3 @@ class _Builder:
                 self.stage.ledger.leave(joint.path, joint.kind, reason)
             else:
                 self.tree.closures.append(joint)
-
-
-def _joints_add_up(stage: Stage) -> bool | None:
-    """Return whether parallel joints between two bodies add their degrees of freedom; None if not authored in USD."""
-    name = "newton:jointsAddMobility"
-    said = [stage.ledger.read(prim, name, "several joints of one body") for prim in stage.prims if schemas(prim)]
-    given = [value for value in said if value is not None]
-    return any(given) if given else None

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from pxr import Usd
 
 from wheelleg_exp.asset import rigid_geometry as geometry
-from wheelleg_exp.asset.rigid_geometry import Array, Part, Solid
+from wheelleg_exp.asset.rigid_geometry import Array, MeshVolume, Part, Solid
 from wheelleg_exp.asset.robot_description import Inertial, Quat, Vec3
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link
 from wheelleg_exp.asset.usd.colliders import Piece
@@ -33,60 +32,47 @@ def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     """
     shapes: dict[str, list[tuple[Piece, Solid]]] = {}
     for piece in pieces:
-        if piece.carrier is None or _weightless(stage, piece.carrier):
+        if piece.carrier is None:
+            continue
+        if "MjcCollisionAPI" in schemas(piece.carrier) and stage.ledger.read(piece.carrier, "physics:mass") == 0:
+            stage.ledger.mapped(piece.carrier.GetPath(), "physics:mass", "no mass, as MuJoCo's schemas mean it")
             continue
         if (solid := _solid(stage, piece)) is not None:
             shapes.setdefault(str(piece.carrier.GetPath()), []).append((piece, solid))
     return [_collider(stage, link, group) for group in shapes.values()]
 
 
-def _weightless(stage: Stage, carrier: Usd.Prim) -> bool:
-    """Return whether a collider of MuJoCo's schemas has no mass: there, a mass of 0 means zero."""
-    if "MjcCollisionAPI" not in schemas(carrier) or stage.ledger.read(carrier, "physics:mass") != 0:
-        return False
-    stage.ledger.mapped(carrier.GetPath(), "physics:mass", "no mass, as MuJoCo's schemas mean it")
-    return True
-
-
 def _collider(stage: Stage, link: Link, group: list[tuple[Piece, Solid]]) -> Part:
     carrier = group[0][0].carrier
     assert carrier is not None
-    apart = carrier.GetPath() != link.prim.GetPath()
-    weighed = apart and given(stage.ledger.read(carrier, "physics:mass"))
+    ledger, path, apart = stage.ledger, carrier.GetPath(), carrier.GetPath() != link.prim.GetPath()
+    authored = ledger.read(carrier, "physics:mass") if apart else None
+    weighed = given(authored)
     densities = [_density(stage, link, piece, weighed) for piece, _ in group]
     parts = [Part.of(s, (d or geometry.WATER) * s.volume) for d, (_, s) in zip(densities, group, strict=True)]
     # All shapes of one collider prim share the prim's MassAPI, so sum their masses.
     mass, center = sum(part.mass for part in parts), geometry.combined_center(parts)
     assumed = sum(part.mass for d, part in zip(densities, parts, strict=True) if d is None)
-    whole = Part(mass, center, geometry.combined_tensor(parts, mass, center), 0.0 if weighed else assumed)
-    return _with_own(stage, link, carrier, whole) if apart else whole
-
-
-def _with_own(stage: Stage, link: Link, carrier: Usd.Prim, part: Part) -> Part:
-    ledger, path = stage.ledger, carrier.GetPath()
-    mass, tensor = ledger.read(carrier, "physics:mass"), part.tensor
-    if given(mass):
+    part = Part(mass, center, geometry.combined_tensor(parts, mass, center), 0.0 if weighed else assumed)
+    if not apart:
+        return part
+    if given(authored):
         ledger.mapped(path, "physics:mass", "mass properties of the body")
-        part = Part(stage.units.mass(mass), part.center, tensor * (stage.units.mass(mass) / part.mass))
+        kilograms = stage.units.mass(authored)
+        part = Part(kilograms, part.center, part.tensor * (kilograms / part.mass))
     inside = link.frame.inverse().matrix() @ stage.matrix(carrier)
-    own = _own_tensor(stage, carrier, inside)
-    center = _center(stage, carrier, inside, "the body's centre of mass")
-    part = part if center is None else part.about(center)
+    moments, own = ledger.read(carrier, "physics:diagonalInertia"), None
+    if given_moments(moments):
+        ledger.mapped(path, "physics:diagonalInertia", "the body's inertia")
+        axes, turn = ledger.read(carrier, "physics:principalAxes"), geometry.rigid_part(inside).rotation
+        if axes is not None and any(axes):
+            ledger.mapped(path, "physics:principalAxes", "the body's inertia")
+            turn = turn @ geometry.rotation_matrix(axes)
+        sizes = without_signs(ledger, str(path), moments)
+        own = np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in sizes]) @ turn.T)
+    middle = _center(stage, carrier, inside, "the body's centre of mass")
+    part = part if middle is None else part.about(middle)
     return part if own is None else replace(part, tensor=own)
-
-
-def _own_tensor(stage: Stage, carrier: Usd.Prim, inside: Array) -> Array | None:
-    moments = stage.ledger.read(carrier, "physics:diagonalInertia")
-    if not given_moments(moments):
-        return None
-    stage.ledger.mapped(carrier.GetPath(), "physics:diagonalInertia", "the body's inertia")
-    axes = stage.ledger.read(carrier, "physics:principalAxes")
-    turn = geometry.rigid_part(inside).rotation
-    if axes is not None and any(axes):
-        stage.ledger.mapped(carrier.GetPath(), "physics:principalAxes", "the body's inertia")
-        turn = turn @ geometry.rotation_matrix(axes)
-    sizes = without_signs(stage.ledger, str(carrier.GetPath()), moments)
-    return np.asarray(turn @ np.diag([stage.units.inertia(float(v)) for v in sizes]) @ turn.T)
 
 
 def _solid(stage: Stage, piece: Piece) -> Solid | None:
@@ -96,20 +82,21 @@ def _solid(stage: Stage, piece: Piece) -> Solid | None:
     density of a hollow collider is per area, as in MuJoCo: ``Solid.volume`` is the area times one unit of the stage.
     """
 
-    def read(name: str) -> Any:
+    def read(name: str) -> object:
         found = (stage.ledger.read(prim, name, "mass properties of the body") for prim in (piece.prim, piece.carrier))
         return next((value for value in found if value is not None), None)
 
     kind, newtons = read("mjc:inertia"), read("newton:massModel") == "shell"
     if newtons or kind == "shell" or read("mjc:shellinertia"):
         wall = read("newton:shellThickness")
-        if given(wall):
+        if isinstance(wall, (int, float)) and given(wall):
             return solid_of(piece.shape, "shell", wall * stage.units.meters)
         if newtons:
             stage.ledger.assume(piece.path, "a hollow collider without a thickness: a surface", "density per area")
         surface = solid_of(piece.shape, "shell")
         return surface and surface.scaled(stage.units.meters)
-    return solid_of(piece.shape, kind if kind in ("exact", "legacy") else "convex")
+    volumes: dict[object, MeshVolume] = {"exact": "exact", "legacy": "legacy"}
+    return solid_of(piece.shape, volumes.get(kind, "convex"))
 
 
 def _density(stage: Stage, link: Link, piece: Piece, weighed: bool) -> float | None:
@@ -159,7 +146,14 @@ def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool 
     if max(x, y, z) < SMALLEST:
         tiny = Inertial(geometry.plain_float(mass), geometry.vec3(center), (x, y, z), axes)
         return _tiny(stage, link, tiny, None if welded else parts or parts_of(stage, link, pieces))
-    return Inertial(geometry.plain_float(mass), geometry.vec3(center), _possible(stage, link, (x, y, z)), axes)
+    able = geometry.balanced((x, y, z))
+    if able != (x, y, z):
+        stage.ledger.assume(link.path, "moments that no body can have (A + B < C): the largest is cut", f"{able}")
+        stage.ledger.find("impossible_inertia", link.name, link.path, a=x, b=y, c=z, cut_to=max(able))
+        if not np.allclose(able, (x, y, z), rtol=0.01, atol=0):
+            text = f"MuJoCo refuses its principal moments {x, y, z}; {able} stand in the model"
+            stage.ledger.warn(f"{link.path}: {text}")
+    return Inertial(geometry.plain_float(mass), geometry.vec3(center), able, axes)
 
 
 def _tiny(stage: Stage, link: Link, found: Inertial, parts: list[Part] | None) -> Inertial:
@@ -221,10 +215,7 @@ def _computed_mass(stage: Stage, link: Link, parts: list[Part]) -> float:
 
 
 def _center(stage: Stage, prim: Usd.Prim, inside: Array, became: str) -> Array | None:
-    """Return the centre of mass that the USD file gives, in the body's frame; None if the file gives none.
-
-    ``inside`` (4, 4) maps coordinates of the prim to coordinates of its body in metres.
-    """
+    """Return a prim's centre of mass, if given, in its body's frame; ``inside`` (4, 4) maps points there, in m."""
     value = stage.ledger.read(prim, "physics:centerOfMass")
     if value is None or not all(math.isfinite(v) for v in value):
         return None
@@ -281,15 +272,3 @@ def _computed_tensor(stage: Stage, link: Link, parts: list[Part], mass: float, c
         stage.ledger.find("no_inertia", link.name, link.path, mass=mass)
         return np.eye(3) * 0.4 * mass * geometry.BARE_RADIUS**2
     return geometry.combined_tensor(parts, mass, center)
-
-
-def _possible(stage: Stage, link: Link, moments: Vec3) -> Vec3:
-    able = geometry.balanced(moments)
-    if able == moments:
-        return moments
-    stage.ledger.assume(link.path, "moments that no body can have (A + B < C): the largest is cut", f"{able}")
-    a, b, c = moments
-    stage.ledger.find("impossible_inertia", link.name, link.path, a=a, b=b, c=c, cut_to=max(able))
-    if not np.allclose(able, moments, rtol=0.01, atol=0):
-        stage.ledger.warn(f"{link.path}: MuJoCo refuses its principal moments {moments}; {able} stand in the model")
-    return able

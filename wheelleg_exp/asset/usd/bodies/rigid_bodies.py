@@ -60,46 +60,44 @@ class Links:
 
 def find_links(stage: Stage) -> Links:
     """Return the enabled rigid bodies."""
-    prims = [prim for prim in stage.prims if "PhysicsRigidBodyAPI" in schemas(prim) and _enabled(stage, prim)]
+    ledger, prims, links = stage.ledger, list[Usd.Prim](), list[Link]()
+    for prim in stage.prims:
+        if "PhysicsRigidBodyAPI" in schemas(prim):
+            if ledger.read(prim, "physics:rigidBodyEnabled", "the choice of bodies") is not False:
+                prims.append(prim)
+            else:
+                ledger.assume(prim.GetPath(), "rigidBodyEnabled is 0: its shapes belong to the body above", "no body")
     if not prims:
         raise _no_articulation(stage)
     require_size(len(prims), MOST_BODIES, "rigid bodies", where=str(stage.source))
-    return Links([_link(stage, prim, name) for prim, name in named(prims)])
+    for prim, name in named(prims):
+        kinematic = bool(ledger.read(prim, "physics:kinematicEnabled", "mocap"))
+        weightless = bool(ledger.read(prim, "physxRigidBody:disableGravity", "gravcomp"))
+        ledger.mapped(prim.GetPath(), "PhysicsRigidBodyAPI", f"body {name}")
+        links.append(Link(str(prim.GetPath()), prim, name, stage.frame(prim), kinematic, weightless))
+    return Links(links)
 
 
 def _no_articulation(stage: Stage) -> AssetError:
-    name, missing = stage.source.name, ", ".join(stage.unresolved)
-    if missing:
-        return AssetError(
-            f"'{name}' has no articulation, and layers that it names are missing: {missing}",
-            where=str(stage.source),
-            expected="those layers next to the file, and PhysicsRigidBodyAPI on prims below the default prim",
-        )
-    return AssetError(
-        f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI{_why_nothing(stage)}",
-        where=str(stage.source),
-        expected="rigid bodies below the default prim; " + _what_to_choose(stage),
-    )
-
-
-def _why_nothing(stage: Stage) -> str:
-    root = stage.root
-    if not root.IsActive():
-        return f", and {root.GetPath()} is switched off (active = false)"
-    if root.IsAbstract():
-        return f", and {root.GetPath()} is a class, which has no effect until it is referenced"
-    if not root.IsDefined():
-        return f", and {root.GetPath()} is an 'over' without a definition"
+    name, where, root, sets = stage.source.name, str(stage.source), stage.root, variant_sets(stage.root)
+    if stage.unresolved:
+        message = f"'{name}' has no articulation, and layers that it names are missing: {', '.join(stage.unresolved)}"
+        expected = "those layers next to the file, and PhysicsRigidBodyAPI on prims below the default prim"
+        return AssetError(message, where=where, expected=expected)
     elsewhere = [prim for prim in stage.usd.Traverse() if "PhysicsRigidBodyAPI" in schemas(prim)]
-    return f" there; outside of {root.GetPath()} there is {elsewhere[0].GetPath()}" if elsewhere else ""
-
-
-def _what_to_choose(stage: Stage) -> str:
-    sets = variant_sets(stage.root)
-    if not sets:
-        return "the file has no variants to choose from"
-    choices = "; ".join(f"{name}: {', '.join(options)}" for name, options in sets.items())
-    return f"or another variant, by --variant SET=NAME ({choices})"
+    why = f" there; outside of {root.GetPath()} there is {elsewhere[0].GetPath()}" if elsewhere else ""
+    if not root.IsActive():
+        why = f", and {root.GetPath()} is switched off (active = false)"
+    elif root.IsAbstract():
+        why = f", and {root.GetPath()} is a class, which has no effect until it is referenced"
+    elif not root.IsDefined():
+        why = f", and {root.GetPath()} is an 'over' without a definition"
+    choices = "; ".join(f"{variant}: {', '.join(options)}" for variant, options in sets.items())
+    choice = (
+        f"or another variant, by --variant SET=NAME ({choices})" if sets else "the file has no variants to choose from"
+    )
+    message = f"'{name}' has no articulation: no prim carries PhysicsRigidBodyAPI{why}"
+    return AssetError(message, where=where, expected=f"rigid bodies below the default prim; {choice}")
 
 
 def shown_names(prims: list[Usd.Prim]) -> dict[str, str]:
@@ -119,25 +117,7 @@ def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
     return [(prim, names[str(prim.GetPath())]) for prim in prims]
 
 
-def _enabled(stage: Stage, prim: Usd.Prim) -> bool:
-    enabled = stage.ledger.read(prim, "physics:rigidBodyEnabled", "the choice of bodies") is not False
-    if not enabled:
-        stage.ledger.assume(prim.GetPath(), "rigidBodyEnabled is 0: its shapes belong to the body above", "no body")
-    return enabled
-
-
-def _link(stage: Stage, prim: Usd.Prim, name: str) -> Link:
-    ledger = stage.ledger
-    kinematic = bool(ledger.read(prim, "physics:kinematicEnabled", "mocap"))
-    weightless = bool(ledger.read(prim, "physxRigidBody:disableGravity", "gravcomp"))
-    ledger.mapped(prim.GetPath(), "PhysicsRigidBodyAPI", f"body {name}")
-    return Link(str(prim.GetPath()), prim, name, stage.frame(prim), kinematic, weightless)
-
-
-Velocity = tuple[float, float, float, float, float, float]
-
-
-def velocity_of(stage: Stage, link: Link) -> Velocity:
+def velocity_of(stage: Stage, link: Link) -> tuple[float, float, float, float, float, float]:
     """Return a body's saved velocity: m/s in the world, then rad/s about the body's own axes.
 
     USD stores a body's velocity in the coordinates of the prim's parent, in stage lengths and degrees.

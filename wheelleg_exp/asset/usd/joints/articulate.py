@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from pxr import Usd
 
-from wheelleg_exp.asset.rigid_geometry import Array, Frame, rounded, turned, vec3
+from wheelleg_exp.asset.rigid_geometry import Frame, rounded, turned, vec3
 from wheelleg_exp.asset.robot_description import Dof, Vec3
-from wheelleg_exp.asset.usd.bodies.body_tree import Node, drawn_in_parent
+from wheelleg_exp.asset.usd.bodies.body_tree import Node
 from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, read_range
 from wheelleg_exp.asset.usd.joints.joint_drives import clamped, force_range, read_drive, read_passive, velocity_limit
 from wheelleg_exp.asset.usd.joints.usd_joints import Joint
@@ -51,8 +51,8 @@ def _dofs_of_joint(stage: Stage, node: Node, joint: Joint) -> list[Dof]:
 def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: bool) -> tuple[Dof, ...]:
     """Set joint positions from a body's pose in the USD file; report a pose that the body's joints cannot reach."""
     assert node.joint is not None
-    drawn, zero = drawn_in_parent(node), Frame.of(node.pose)
-    moved = zero.inverse() @ drawn
+    drawn = (node.parent.frame.inverse() if node.parent else Frame.identity()) @ node.link.frame
+    moved = Frame.of(node.pose).inverse() @ drawn
     values = _coordinates(moved, node, dofs)
     reached = Frame.identity()
     for dof, value in zip(dofs, values, strict=True):
@@ -70,12 +70,12 @@ def _compare_drawing(stage: Stage, node: Node, dofs: tuple[Dof, ...], loops: boo
         return tuple(replace(d, position=clamped(stage, prim, "zero", d.position, d.range)) for d in dofs)
     shown = ", ".join(f"{value:.6g}" for value in values)
     stage.ledger.assume(node.joint.path, "the file is saved in a bent pose: zero is between the frames", shown)
-    return tuple(_at(stage, node.joint, dof, value) for dof, value in zip(dofs, values, strict=True))
-
-
-def _at(stage: Stage, joint: Joint, dof: Dof, value: float) -> Dof:
-    position = rounded(value + dof.ref) if abs(value) >= CLOSE_RAD else dof.ref
-    return replace(dof, position=clamped(stage, joint.prim, "the drawn pose", position, dof.range))
+    found = []
+    for dof, value in zip(dofs, values, strict=True):
+        position = rounded(value + dof.ref) if abs(value) >= CLOSE_RAD else dof.ref
+        position = clamped(stage, node.joint.prim, "the drawn pose", position, dof.range)
+        found.append(replace(dof, position=position))
+    return tuple(found)
 
 
 def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]:
@@ -88,20 +88,14 @@ def _coordinates(moved: Frame, node: Node, dofs: tuple[Dof, ...]) -> list[float]
     at_joint = node.frame_in_body(node.joint)
     inside = at_joint.inverse() @ moved @ at_joint
     inside = inside.inverse() if node.reversed else inside
-    angles = _euler(inside.rotation)
+    r = inside.rotation
+    middle = math.asin(max(-1.0, min(1.0, float(r[0, 2]))))
+    angles = (math.atan2(-r[1, 2], r[2, 2]), middle, math.atan2(-r[0, 1], r[0, 0]))
     values = []
     for axis in reversed(node.joint.axes) if node.reversed else node.joint.axes:  # the order of ``dofs``
         index = "XYZ".index(axis.token[-1])
         values.append(float(inside.translation[index]) if axis.kind == "slide" else angles[index])
     return values
-
-
-def _euler(r: Array) -> tuple[float, float, float]:
-    return (
-        math.atan2(-r[1, 2], r[2, 2]),
-        math.asin(max(-1.0, min(1.0, float(r[0, 2])))),
-        math.atan2(-r[0, 1], r[0, 0]),
-    )
 
 
 def _coordinate(moved: Frame, dof: Dof) -> float:
@@ -123,8 +117,10 @@ def _moved(dof: Dof, value: float) -> Frame:
 
 def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction: Vec3, anchor: Vec3) -> Dof:
     """Return the degree of freedom of a joint axis; ``direction`` and ``anchor`` (m) are in the child body's frame."""
-    angular = axis.kind != "slide"
-    limits, ref = read_range(stage, prim, axis), _ref(stage, prim, angular)
+    limits, ref = read_range(stage, prim, axis), 0.0
+    if (authored := stage.ledger.read(prim, "mjc:ref", "joint ref")) is not None:
+        slides = axis.kind == "slide"
+        ref = float(authored) * stage.units.meters if slides else angle_in_radians(stage, float(authored))
     state, speed = _state(stage, prim, axis)
     stage.ledger.mapped(prim.GetPath(), str(prim.GetTypeName()), f"joint {name} ({axis.kind})")
     return Dof(
@@ -142,13 +138,6 @@ def read_dof(stage: Stage, prim: Usd.Prim, axis: FreeAxis, name: str, direction:
         ref=ref,
         **read_passive(stage, prim, axis),
     )
-
-
-def _ref(stage: Stage, prim: Usd.Prim, angular: bool) -> float:
-    value = stage.ledger.read(prim, "mjc:ref", "joint ref")
-    if value is None:
-        return 0.0
-    return angle_in_radians(stage, float(value)) if angular else float(value) * stage.units.meters
 
 
 def _state(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> tuple[float | None, float]:

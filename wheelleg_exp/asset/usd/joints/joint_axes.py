@@ -26,12 +26,6 @@ class FreeAxis:
     suffix: str = ""
 
 
-def single_axis(stage: Stage, prim: Usd.Prim, angular: bool) -> list[FreeAxis]:
-    """Return the axis of a revolute or prismatic joint; an empty or unknown axis name means X, as in PhysX."""
-    token = "angular" if angular else "linear"
-    return [FreeAxis("hinge" if angular else "slide", UNIT[axis_name(stage, prim)], token)]
-
-
 def axis_name(stage: Stage, prim: Usd.Prim) -> str:
     """Return X, Y, or Z."""
     name = stage.ledger.read(prim, "physics:axis", "axis")
@@ -110,15 +104,10 @@ def read_range(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Range | None:
         return _cone(stage, prim)
     if axis.token == "twist":
         return None
-    angular = axis.kind == "hinge"
+    ledger, angular = stage.ledger, axis.kind == "hinge"
     if axis.suffix:
-        low, high = (stage.ledger.read(prim, f"limit:{axis.token}:physics:{end}", "range") for end in ("low", "high"))
+        low, high = (ledger.read(prim, f"limit:{axis.token}:physics:{end}", "range") for end in ("low", "high"))
         return _range(stage.units, low, high, angular, one_sided=True)
-    return _single(stage, prim, angular)
-
-
-def _single(stage: Stage, prim: Usd.Prim, angular: bool) -> Range | None:
-    ledger = stage.ledger
     low = ledger.read(prim, "physics:lowerLimit", "range")
     high = ledger.read(prim, "physics:upperLimit", "range")
     if low is not None and high is not None and low >= high:

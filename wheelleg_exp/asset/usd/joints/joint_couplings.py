@@ -6,7 +6,7 @@ A distance joint becomes a tendon between two points, with a range or with sprin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from pxr import Usd
@@ -17,6 +17,7 @@ from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, Joint
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 ROD = 1e-4
+DISTANCES = ("physics:minDistance", "physics:maxDistance")
 SPRING = "physxPhysicsDistanceJoint:"
 
 
@@ -33,13 +34,11 @@ def read_ropes(stage: Stage, joints: list[Joint]) -> Ropes:
     """Convert USD distance joints, and distance limits of generic USD joints, to tendons."""
     ropes = Ropes()
     for joint in joints:
-        if joint.kind == DISTANCE:
-            low = stage.ledger.read(joint.prim, "physics:minDistance", "tendon range")
-            high = stage.ledger.read(joint.prim, "physics:maxDistance", "tendon range")
-            _add(stage, joint, _range(stage, low, high), ropes)
-        elif joint.kind == "PhysicsJoint" and any(axis.kind == "slide" for axis in joint.axes):
-            high = stage.ledger.read(joint.prim, "limit:distance:physics:high", "tendon range")
-            low = stage.ledger.read(joint.prim, "limit:distance:physics:low", "tendon range")
+        if joint.kind == DISTANCE or (joint.kind == "PhysicsJoint" and any(a.kind == "slide" for a in joint.axes)):
+            names = (
+                DISTANCES if joint.kind == DISTANCE else ("limit:distance:physics:low", "limit:distance:physics:high")
+            )
+            low, high = (stage.ledger.read(joint.prim, name, "tendon range") for name in names)
             _add(stage, joint, _range(stage, low, high), ropes)
     return ropes
 
@@ -94,35 +93,32 @@ def _spring(stage: Stage, prim: Usd.Prim, limits: Range) -> Extra:
 SCHEMA = "PhysxMimicJointAPI:"
 
 
-def read_mimics(stage: Stage, dofs: Sequence[Dof]) -> tuple[Coupling, ...]:
-    """Return a joint coupling for each PhysxMimicJointAPI of the stage."""
+def read_mimics(stage: Stage, dofs: Sequence[Dof]) -> Iterator[Coupling]:
+    """Yield a joint coupling for each PhysxMimicJointAPI of the stage."""
     by_path: dict[str, list[Dof]] = {}
     for dof in dofs:
         by_path.setdefault(dof.path, []).append(dof)
     applied = [(prim, name) for prim in stage.prims for name in schemas(prim) if name.startswith(SCHEMA)]
-    found = (_mimic(stage, prim, name.removeprefix(SCHEMA), by_path) for prim, name in applied)
-    return tuple(filter(None, found))
-
-
-def _mimic(stage: Stage, prim: Usd.Prim, axis: str, dofs: Mapping[str, list[Dof]]) -> Coupling | None:
-    read, prefix = stage.ledger.read, f"physxMimicJoint:{axis}:"
-    targets = stage.ledger.targets(prim, f"{prefix}referenceJoint", "equality joint")
-    token = read(prim, f"{prefix}referenceJointAxis", "equality joint")
-    leader = _dof(dofs, str(targets[0]) if targets else "", token)
-    follower = _dof(dofs, str(prim.GetPath()), axis)
-    if leader is None or follower is None or leader.name == follower.name:
-        stage.ledger.leave(prim.GetPath(), SCHEMA + axis, "it follows no coordinate of the model")
-        stage.ledger.warn(f"{prim.GetPath()}: follows no joint of the robot, so the coupling was left out")
-        return None
-    gearing, offset = read(prim, f"{prefix}gearing", "polycoef"), read(prim, f"{prefix}offset", "polycoef")
-    ratio = (1.0 if gearing is None else gearing) * _unit(stage, follower) / _unit(stage, leader)
-    start = (offset or 0.0) * _unit(stage, follower)
-    for name in ("naturalFrequency", "dampingRatio"):
-        if (value := read(prim, prefix + name)) is not None:
-            stage.ledger.leave(prim.GetPath(), prefix + name, "PhysX's compliance; MuJoCo's is solref", value)
-    stage.ledger.mapped(prim.GetPath(), SCHEMA + axis, f"equality joint: {follower.name} follows {leader.name}")
-    name = f"{follower.name}_mimic"
-    return Coupling(name, str(prim.GetPath()), follower.name, leader.name, (-start, -ratio, 0.0, 0.0, 0.0))
+    for prim, schema in applied:
+        axis = schema.removeprefix(SCHEMA)
+        read, prefix = stage.ledger.read, f"physxMimicJoint:{axis}:"
+        targets = stage.ledger.targets(prim, f"{prefix}referenceJoint", "equality joint")
+        token = read(prim, f"{prefix}referenceJointAxis", "equality joint")
+        leader = _dof(by_path, str(targets[0]) if targets else "", token)
+        follower = _dof(by_path, str(prim.GetPath()), axis)
+        if leader is None or follower is None or leader.name == follower.name:
+            stage.ledger.leave(prim.GetPath(), SCHEMA + axis, "it follows no coordinate of the model")
+            stage.ledger.warn(f"{prim.GetPath()}: follows no joint of the robot, so the coupling was left out")
+            continue
+        gearing, offset = read(prim, f"{prefix}gearing", "polycoef"), read(prim, f"{prefix}offset", "polycoef")
+        ratio = (1.0 if gearing is None else gearing) * _unit(stage, follower) / _unit(stage, leader)
+        start = (offset or 0.0) * _unit(stage, follower)
+        for name in ("naturalFrequency", "dampingRatio"):
+            if (value := read(prim, prefix + name)) is not None:
+                stage.ledger.leave(prim.GetPath(), prefix + name, "PhysX's compliance; MuJoCo's is solref", value)
+        stage.ledger.mapped(prim.GetPath(), SCHEMA + axis, f"equality joint: {follower.name} follows {leader.name}")
+        name = f"{follower.name}_mimic"
+        yield Coupling(name, str(prim.GetPath()), follower.name, leader.name, (-start, -ratio, 0.0, 0.0, 0.0))
 
 
 def _dof(dofs: Mapping[str, list[Dof]], path: str, axis: str | None) -> Dof | None:

@@ -36,7 +36,11 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
     kp, kd = (max(0.0, units.gain(gain, angular)) for gain in (stiffness, damping))
     target, speed = units.coordinate(position, angular) + ref, units.coordinate(velocity, angular)
     if kp > 0 and kd > 0 and speed:
-        _leave_speed(stage, prim, axis, speed * kd / kp)
+        # PhysX moves the joint's rest position by this shift.
+        shift, name = f"{speed * kd / kp:g} {'rad' if angular else 'm'}", f"drive:{axis.token}:physics:targetVelocity"
+        reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
+        stage.ledger.leave(prim.GetPath(), name, reason, shift)
+        stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift})")
     return Drive(
         kind="position" if kp > 0 else "velocity" if kd > 0 else "motor",
         stiffness=kp,
@@ -46,15 +50,6 @@ def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | Non
         target_velocity=speed,
         acceleration=kind == "acceleration",
     )
-
-
-def _leave_speed(stage: Stage, prim: Usd.Prim, axis: FreeAxis, shift: float) -> None:
-    """Report that the MJCF omits a target velocity, which in PhysX moves the joint's rest position by ``shift``."""
-    name = f"drive:{axis.token}:physics:targetVelocity"
-    unit = "m" if axis.kind == "slide" else "rad"
-    reason = "a position actuator has no target speed; PhysX would rest this far from the target position"
-    stage.ledger.leave(prim.GetPath(), name, reason, f"{shift:g} {unit}")
-    stage.ledger.warn(f"{prim.GetPath()}: {name} was left out: {reason} ({shift:g} {unit})")
 
 
 def _effort(stage: Stage, prim: Usd.Prim, authored: float | None, angular: bool) -> float | None:
@@ -106,10 +101,7 @@ class Passive(TypedDict):
 
 
 def read_passive(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> Passive:
-    """Return one axis's armature, friction loss, damping, and stiffness.
-
-    MuJoCo's schemas override Newton's schemas, which override PhysX's schemas.
-    """
+    """Return an axis's passive forces. MuJoCo's schemas override Newton's, and Newton's override PhysX's."""
     units, angular = stage.units, axis.kind != "slide"
 
     def winner(became: str, convert: Callable[[float, bool], float], names: Iterable[str]) -> float:
@@ -194,10 +186,7 @@ def velocity_limit(stage: Stage, prim: Usd.Prim, axis: FreeAxis) -> float | None
 
 
 def force_range(stage: Stage, prim: Usd.Prim) -> tuple[float, float] | None:
-    """Return the total force range of all motors of a joint, in N·m or N.
-
-    If the USD file has only one end of the range, the other end is MuJoCo's default, 0.
-    """
+    """Return the total force range of a joint's motors, N·m or N; a missing end of the range is 0, as in MuJoCo."""
     low, high = (stage.ledger.read(prim, f"mjc:actuatorfrcrange:{end}", "actuatorfrcrange") for end in ("min", "max"))
     if low is not None or high is not None:
         low, high = float(low or 0.0), float(high or 0.0)

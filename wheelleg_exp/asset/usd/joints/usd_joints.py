@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,7 @@ from pxr import Sdf, Usd, UsdPhysics
 
 from wheelleg_exp.asset.rigid_geometry import Frame, apply, rigid_part, rotation_matrix
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, named
-from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, ball_axes, generic_axes, single_axis
+from wheelleg_exp.asset.usd.joints.joint_axes import UNIT, FreeAxis, axis_name, ball_axes, generic_axes
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 DISTANCE = "PhysicsDistanceJoint"
@@ -54,37 +55,35 @@ class Joint:
         return self.links[1 - self.side(link)]
 
 
-def read_joints(stage: Stage, links: Links) -> list[Joint]:
-    """Return the enabled joints of a USD stage whose bodies exist, in the order of the stage."""
-    prims = [prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]
-    return list(filter(None, (_joint(stage, links, prim, name) for prim, name in named(prims))))
-
-
-def _joint(stage: Stage, links: Links, prim: Usd.Prim, name: str) -> Joint | None:
-    ledger, path = stage.ledger, prim.GetPath()
-    enabled = ledger.read(prim, "physics:jointEnabled", "the choice of joints") is not False
-    if not enabled and not {"MjcEqualityWeldAPI", "MjcEqualityConnectAPI"} & set(schemas(prim)):
-        ledger.leave(path, str(prim.GetTypeName()), "the joint is switched off")
-        return None
-    ends = _ends(stage, links, prim)
-    if ends is None:
-        return None
-    (link0, frame0), (link1, frame1) = ends
-    found = _axes(stage, prim)
-    if found is None:
-        return None
-    axes, offset = found
-    joint = Joint(str(path), prim, name, (link0, link1), (frame0 @ offset, frame1), axes)
-    joint.excluded = bool(ledger.read(prim, "physics:excludeFromArticulation", "the choice of loop joints"))
-    joint.closes = joint.excluded or not enabled
-    joint.may_collide = bool(ledger.read(prim, "physics:collisionEnabled", "contact exclude"))
-    return joint
+def read_joints(stage: Stage, links: Links) -> Iterator[Joint]:
+    """Yield the enabled joints of a USD stage whose bodies exist, in the order of the stage."""
+    for prim, name in named([prim for prim in stage.prims if prim.IsA(UsdPhysics.Joint)]):
+        ledger, path = stage.ledger, prim.GetPath()
+        enabled = ledger.read(prim, "physics:jointEnabled", "the choice of joints") is not False
+        if not enabled and not {"MjcEqualityWeldAPI", "MjcEqualityConnectAPI"} & set(schemas(prim)):
+            ledger.leave(path, str(prim.GetTypeName()), "the joint is switched off")
+            continue
+        ends = _ends(stage, links, prim)
+        if ends is None:
+            continue
+        (link0, frame0), (link1, frame1) = ends
+        found = _axes(stage, prim)
+        if found is None:
+            continue
+        axes, offset = found
+        joint = Joint(str(path), prim, name, (link0, link1), (frame0 @ offset, frame1), axes)
+        joint.excluded = bool(ledger.read(prim, "physics:excludeFromArticulation", "the choice of loop joints"))
+        joint.closes = joint.excluded or not enabled
+        joint.may_collide = bool(ledger.read(prim, "physics:collisionEnabled", "contact exclude"))
+        yield joint
 
 
 def _axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame] | None:
     kind, same = str(prim.GetTypeName()), Frame.identity()
-    if kind in ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint"):
-        return single_axis(stage, prim, kind == "PhysicsRevoluteJoint"), same
+    if kind == "PhysicsRevoluteJoint":
+        return [FreeAxis("hinge", UNIT[axis_name(stage, prim)], "angular")], same
+    if kind == "PhysicsPrismaticJoint":
+        return [FreeAxis("slide", UNIT[axis_name(stage, prim)], "linear")], same
     if kind == "PhysicsSphericalJoint":
         return ball_axes(stage, prim), same
     if kind == "PhysicsFixedJoint":
@@ -125,19 +124,11 @@ def _end(stage: Stage, links: Links, prim: Usd.Prim, i: int) -> End | None:
     target = stage.usd.GetPrimAtPath(targets[0].GetPrimPath()) if targets else None
     if targets and not target:
         return None
-    path = target.GetPath() if target else Sdf.Path.absoluteRootPath
-    link = links.owner(path)
-    return link, _joint_frame(stage, prim, i, target, link)
-
-
-def _joint_frame(stage: Stage, prim: Usd.Prim, i: int, target: Usd.Prim | None, link: Link | None) -> Frame:
-    """Return a joint's frame relative to body ``i`` (body0 or body1), or in the world if the joint has no such body."""
+    link = links.owner(target.GetPath() if target else Sdf.Path.absoluteRootPath)
     position = stage.ledger.read(prim, f"physics:localPos{i}", "joint frame") or (0.0, 0.0, 0.0)
-    rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame") or (1.0, 0.0, 0.0, 0.0)
-    if not any(rotation):
-        rotation = (1.0, 0.0, 0.0, 0.0)
+    rotation = stage.ledger.read(prim, f"physics:localRot{i}", "joint frame")
+    rotation = rotation_matrix(rotation) if rotation is not None and any(rotation) else np.eye(3)
     matrix = stage.matrix(target)
-    inside = link.frame.inverse() if link else Frame.identity()
     # A scaled USD body also scales the position ``physics:localPos`` of its joint.
-    origin = apply(matrix, np.array([position]))[0]
-    return inside @ Frame(rigid_part(matrix).rotation @ rotation_matrix(rotation), origin)
+    at_joint = Frame(rigid_part(matrix).rotation @ rotation, apply(matrix, np.array([position]))[0])
+    return link, (link.frame.inverse() if link else Frame.identity()) @ at_joint
