@@ -218,12 +218,3 @@ class Tree:
         gravity = self.model.opt.gravity
         size = float(np.linalg.norm(gravity))
         return -gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
-
-
-def find_base(model: mujoco.MjModel) -> int:
-    """Return the robot's root: the body on the world with the most joints below it; ValueError without bodies."""
-    roots = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
-    if not roots:
-        raise ValueError("the MuJoCo model has no robot bodies")
-    joints = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
-    return max(roots, key=lambda body: (int(joints[body]), -body))

@@ -80,10 +80,7 @@ class Overlap:
 
 
 def find_overlaps(model: mujoco.MjModel, qpos: np.ndarray, names: Collection[str]) -> list[Overlap]:
-    """Return the pairs of a robot's bodies that overlap at the pose ``qpos``, starting with the deepest overlap.
-
-    ``find_overlaps`` omits pairs of bodies that are welded together or that the MJCF excludes from contact.
-    """
+    """Return the pairs of bodies that overlap at ``qpos``, the deepest first, without welded and excluded pairs."""
     bodies = {model.body(name).id for name in names}
     acting = set(_depths(model, qpos, bodies))
     free = copy.copy(model)

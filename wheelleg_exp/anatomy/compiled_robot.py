@@ -281,10 +281,7 @@ class CompiledRobot:
 
 
 def with_written_limits(model: mujoco.MjModel, report: Report | None) -> mujoco.MjModel:
-    """Return a copy of a MuJoCo model with the limits that the robot's URDF states for continuous joints.
-
-    The last joint of each kinematic chain stays unlimited, because this joint can turn a wheel.
-    """
+    """Copy a model with the URDF's limits of continuous joints; ends of chains, which can be wheels, stay unlimited."""
     model = copy.copy(model)
     for item in report.findings if report is not None else ():
         if item.kind == "limits_ignored" and model.joint(item.subject).dofadr[0] in model.dof_parentid:

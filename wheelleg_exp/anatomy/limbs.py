@@ -75,7 +75,11 @@ def find_wheels(tree: Tree) -> tuple[list[Found], dict[str, str]]:
         round_enough = shape.roundness >= _ROUND or (shape.roundness >= _ROUGH and _spins_freely(tree, shape))
         if shape.radius < _SMALLEST or not round_enough:
             if tree.turns(joint) > TURNS and _spins_freely(tree, shape):
-                near[name] = _where_its_shape_is(shape)
+                near[name] = f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
+                if shape.off_axis <= _OFF_AXIS * shape.radius:
+                    extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
+                    text = "its colliders, unlike its masses, are not round about its axis"
+                    near[name] = f"{text}: they reach {extent} from the axis"
             continue
         low = float(shape.centre @ tree.up) - shape.radius
         if low > highest:
@@ -131,14 +135,6 @@ def _outlined(tree: Tree, joint: int, bodies: Collection[int], geoms: list[int],
     why = f"turns without limits about a level axis, last of its chain; its colliders reach {1e3 * radius:.4g} mm "
     why += f"from the axis all round, within {100 * (1 - roundness):.1f} %"
     return Found(joint, tuple(bodies), axis, centre, radius, width, roundness, off_axis, why)
-
-
-def _where_its_shape_is(shape: Found) -> str:
-    """Return a text about a link that has the mass distribution, but not the collider shape, of a wheel."""
-    if shape.off_axis > _OFF_AXIS * shape.radius:
-        return f"its colliders are round about a line {1e3 * shape.off_axis:.3g} mm off its axis"
-    extent = f"between {1e3 * shape.radius * shape.roundness:.3g} and {1e3 * shape.radius:.3g} mm"
-    return f"its colliders, unlike its masses, are not round about its axis: they reach {extent} from the axis"
 
 
 def _spins_freely(tree: Tree, shape: Found) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Side, Tree, Vec3, Wheel, find_base
+from wheelleg_exp.anatomy.anatomy_parts import Anatomy, Array, MirroredPair, Side, Tree, Vec3, Wheel
 from wheelleg_exp.anatomy.collider_shapes import colliders, reach
 from wheelleg_exp.anatomy.limbs import LEVEL, TURNS, Found, driven_joints, find_legs, find_pairs, find_wheels, swivels
 
@@ -37,7 +37,11 @@ def anatomy_of(
         data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    tree = Tree(model, data, find_base(model))
+    roots = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
+    if not roots:
+        raise ValueError("the MuJoCo model has no robot bodies")
+    below = np.bincount(model.body_rootid[model.jnt_bodyid], minlength=model.nbody)
+    tree = Tree(model, data, max(roots, key=lambda body: (int(below[body]), -body)))  # the root of the most joints
     moved = driven_joints(model) if driven is None else {model.joint(name).id for name in driven}
     motors = moved if driven is not None or model.nu else set()
     found, near = find_wheels(tree)
@@ -69,20 +73,18 @@ def anatomy_of(
 
 @dataclass(frozen=True)
 class _Axles:
-    """The robot's size and directions, and each wheel's ground contact and steering joint, in world coordinates."""
+    """The robot's size and directions, and each wheel's ground contact and swivels, in world coordinates."""
 
     size: float
     forward: Array | None
     left: Array | None
     contacts: list[Array]
     stands: list[bool]
-    steering: list[int | None]
     swivels: list[list[int]]
 
 
 def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axles:
     contacts = [wheel.centre + wheel.radius * _down(wheel.axis, tree.up) for wheel in found]
-    steering = [_steering_joint(tree, wheel.joint) for wheel in found]
     # A wheel behind a swivel without motor is a caster, unless all wheels are behind such joints.
     passive = [[] if set(above) & set(motors) else above for above in (swivels(tree, wheel) for wheel in found)]
     passive = [[] for _ in found] if all(passive) else passive
@@ -99,12 +101,14 @@ def _axles(tree: Tree, found: Sequence[Found], motors: Collection[int]) -> _Axle
     size = float((high - low).max())
     lowest = min((float(contact @ tree.up) for contact in contacts), default=0.0)
     stands = [float(contact @ tree.up) <= lowest + _LEVEL_WITH * size for contact in contacts]
-    return _Axles(size, forward, left, contacts, stands, steering, passive)
+    return _Axles(size, forward, left, contacts, stands, passive)
 
 
 def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, moved: Collection[int]) -> Wheel:
     found = wheels[number]
     rolling = float(np.cross(found.axis, tree.up) @ axles.forward) if axles.forward is not None else 0.0
+    above = tree.chain(int(tree.model.jnt_bodyid[found.joint]))[-2:-1]
+    turning = [joint for joint in above if tree.is_hinge(joint) and tree.turns(joint) > TURNS]
     return Wheel(
         joint=tree.joint_name(found.joint),
         body=tree.body_name(int(tree.model.jnt_bodyid[found.joint])),
@@ -119,7 +123,7 @@ def _wheel(tree: Tree, wheels: Sequence[Found], axles: _Axles, number: int, move
         sign=0 if abs(rolling) < _ROLLS else (1 if rolling > 0 else -1),
         driven=found.joint in moved and not axles.swivels[number],
         stands=axles.stands[number],
-        steered=axles.steering[number] is not None,
+        steered=any(abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2 for joint in turning),
         caster=bool(axles.swivels[number]),
         swivels=tuple(map(tree.joint_name, axles.swivels[number])),
         why=found.why,
@@ -130,15 +134,6 @@ def _down(axis: Array, up: Array) -> Array:
     """Return the direction from a wheel's centre to the ground: down, in the wheel's plane."""
     down = -up + (up @ axis) * axis
     return down / np.linalg.norm(down)
-
-
-def _steering_joint(tree: Tree, wheel: int) -> int | None:
-    """Return the joint above a wheel if that joint is a vertical hinge without limits, else None."""
-    for joint in tree.chain(int(tree.model.jnt_bodyid[wheel]))[-2:-1]:
-        upright = abs(float(tree.data.xaxis[joint] @ tree.up)) > 1.0 - LEVEL / 2
-        if upright and tree.is_hinge(joint) and tree.turns(joint) > TURNS:
-            return joint
-    return None
 
 
 def _forward(tree: Tree, axes: Sequence[Array]) -> Array | None:

@@ -83,7 +83,11 @@ class _Problem:
         self.joints = [name for name in named if name not in anatomy.casters.union(anatomy.wheel_joints)]
         ids = [model.joint(name).id for name in self.joints]
         self.places = model.jnt_qposadr[ids]
-        self.low, self.high = self._limits(ids)
+        limited, now = model.jnt_limited[ids].astype(bool), self.data.qpos[self.places]
+        low, high = model.jnt_range[ids].T
+        margin = _MARGIN * (high - low)
+        self.low = np.where(limited, low + margin, now - _REACH)
+        self.high = np.where(limited, high - margin, now + _REACH)
         self.preferred = np.clip(self.data.qpos[self.places], self.low, self.high)
         self.spread = self.high - self.low
         self.base = model.body(anatomy.base).id
@@ -114,13 +118,6 @@ class _Problem:
         # In the standing pose, bodies may overlap as deeply as in the initial pose, but not more deeply.
         self.rest = overlap_depths(model, self.data, self.bodies)
         self.tallest = self.wanted = 0.0
-
-    def _limits(self, ids: Sequence[int]) -> tuple[Array, Array]:
-        limited = self.model.jnt_limited[ids].astype(bool)
-        low, high = self.model.jnt_range[ids].T
-        keep = _MARGIN * (high - low)
-        now = self.data.qpos[self.model.jnt_qposadr[ids]]
-        return np.where(limited, low + keep, now - _REACH), np.where(limited, high - keep, now + _REACH)
 
     def at(self, positions: Array) -> mujoco.MjData:
         """Return MuJoCo's data of the robot in a pose, with computed contacts."""
