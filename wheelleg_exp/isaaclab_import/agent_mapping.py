@@ -25,9 +25,16 @@ def convert_agent(
     ``groups`` are the observation groups of the environment. Where settings and ``weights`` differ, the weights win.
     """
     part = Section(tree or {}, "agent.yaml", report)
-    agent: Tree = {"algorithm": {}, "obs_groups": _obs_groups(part.take("obs_groups", {}), groups)}
-    agent |= part.take_if_known(RUNNER)
-    agent["algorithm"] = _algorithm(part.section("algorithm"))
+    # The networks observe the groups of the runner if the environment has them.
+    given, top = part.take("obs_groups", {}), "policy" if "policy" in groups else groups[0]
+    chosen = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
+    runner = {"actor": given.get("actor") or given.get("policy"), "critic": given.get("critic")}
+    chosen |= {role: list(names) for role, names in runner.items() if names and set(names) <= set(groups)}
+    algorithm = part.section("algorithm")
+    _require_class(algorithm, "PPO")
+    agent: Tree = {"algorithm": algorithm.take_if_known(PPO), "obs_groups": chosen, **part.take_if_known(RUNNER)}
+    algorithm.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
+    algorithm.finish()
     policy = part.section("policy")
     actor, critic = part.section("actor"), part.section("critic")  # rsl_rl since 4.0
     normalized = part.take("empirical_normalization", False)
@@ -57,22 +64,6 @@ def is_runner(tree: Mapping[str, object]) -> bool:
     return "num_steps_per_env" in tree or not any(name in tree for name in _LIBRARIES)
 
 
-def _obs_groups(given: Mapping[str, Sequence[str] | None], groups: Sequence[str]) -> dict[str, list[str]]:
-    """Return the observation groups of the networks: those of the runner if the environment has them."""
-    top = "policy" if "policy" in groups else groups[0]
-    chosen = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
-    runner = {"actor": given.get("actor") or given.get("policy"), "critic": given.get("critic")}
-    return chosen | {role: list(names) for role, names in runner.items() if names and set(names) <= set(groups)}
-
-
-def _algorithm(part: Section) -> Tree:
-    _require_class(part, "PPO")
-    settings = part.take_if_known(PPO)
-    part.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
-    part.finish()
-    return settings
-
-
 def _model(role: str, own: Section, policy: Section, activation: str, normalized: bool) -> Tree:
     """Return a network's settings, from its own section or from the section ``policy`` of older versions of rsl_rl."""
     hidden = policy.take(f"{role}_hidden_dims") or own.take("hidden_dims") or [256, 256, 256]
@@ -83,7 +74,6 @@ def _model(role: str, own: Section, policy: Section, activation: str, normalized
 
 
 def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None) -> Tree:
-    """Return the settings of the distribution of the actions."""
     if policy.take("state_dependent_std") or actor.take("state_dependent_std"):
         key, expected = "agent.yaml: state_dependent_std", "a standard deviation that is the same in all states"
         raise ConfigError("the deviation of the actions depends on the state", key=key, expected=expected)
@@ -100,7 +90,6 @@ def _distribution(policy: Section, actor: Section, weights: PolicyWeights | None
 
 
 def _require_class(part: Section, known: str) -> None:
-    """Raise ConfigError if a section names another class than the known one."""
     name = part.take("class_name", known)
     if name != known:
         raise ConfigError(f"'{name}' does not exist here", key=f"{part.key}.class_name", expected=known)

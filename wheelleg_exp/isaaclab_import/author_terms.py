@@ -10,6 +10,7 @@ import ast
 import re
 from collections.abc import Iterable
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 
 from wheelleg_exp.errors import ConfigError, WheellegError
@@ -54,7 +55,9 @@ class AuthorTerms:
 
         def fit(file: Path) -> tuple[int, bool]:
             names = {part.arg for part in ast.walk(self._definitions(file)[name]) if isinstance(part, ast.arg)}
-            return _shared(file.with_suffix("").parts, parts), names.issuperset(parameters)
+            pairs = zip(reversed(file.with_suffix("").parts), reversed(parts), strict=False)
+            shared = takewhile(lambda pair: pair[0] == pair[1], pairs)  # the last parts of the path and of the module
+            return len(list(shared)), names.issuperset(parameters)
 
         file = max(defining, key=fit)
         self._need(file, name)
@@ -101,20 +104,16 @@ class AuthorTerms:
         parts = self._parts(file)
         used, called = (set().union(*(_names(part, annotations=flag) for part in parts)) for flag in (True, False))
         called |= set().union(*map(_configs, parts))
-        imports = [text for item in self._imports(file) if (text := self._import(item, used, called, file))]
+        found = [part for part in ast.walk(self._trees[file]) if isinstance(part, (ast.Import, ast.ImportFrom))]
+        imports = [text for item in found if (text := self._import(item, used, called, file))]
         source = "\n\n\n".join(ast.unparse(part) for part in parts)
         title = f'"""Terms copied from ``{file.name}`` by ``wheelleg import``."""'
         return "\n".join([title, "", "from __future__ import annotations", "", *imports, "", "", source, ""])
 
     def _parts(self, file: Path) -> list[ast.stmt]:
-        """Return the needed definitions of a file."""
         return [part for part in self._trees[file].body if set(self._needed[file]) & set(_defined(part))]
 
-    def _imports(self, file: Path) -> list[ast.Import | ast.ImportFrom]:
-        return [part for part in ast.walk(self._trees[file]) if isinstance(part, (ast.Import, ast.ImportFrom))]
-
     def _other(self, file: Path, name: str) -> Path | None:
-        """Return another file than ``file`` that defines a name."""
         return next((other for other in self._files if other != file and name in self._definitions(other)), None)
 
     def _namespace(self, alias: str, file: Path) -> list[str]:
@@ -240,13 +239,3 @@ def _exists(module: str) -> bool:
     except ImportError:
         return False
     return True
-
-
-def _shared(parts: tuple[str, ...], module: list[str]) -> int:
-    """Return how many last parts of a file's path are equal to those of a module."""
-    count = 0
-    for a, b in zip(reversed(parts), reversed(module), strict=False):
-        if a != b:
-            break
-        count += 1
-    return count

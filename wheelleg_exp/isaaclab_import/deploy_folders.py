@@ -137,7 +137,13 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
 
 
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
-    config, where = _rl_sar_config(folder), str(folder.config_file)
+    # ``base.yaml`` is in the folder of ``config.yaml`` or in the folder above.
+    bases = [place / "base.yaml" for place in (folder.path, folder.path.parent)]
+    contents = [read_mapping(base) for base in bases if base.is_file()][:1]
+    config, where = Tree(), str(folder.config_file)
+    for content in (*contents, folder.config):
+        inner = next(iter(content.values()))
+        config |= inner if isinstance(inner, Mapping) else content
     joints, wheels = _rl_sar_joints(config, names, where)
     gains = {"stiffness": config["rl_kp"], "damping": config["rl_kd"]}
     if config.get("torque_limits") is not None:
@@ -149,17 +155,6 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     tree |= _rl_sar_actions(config, joints, wheels, report)
     tree["observations"] = {"policy": _rl_sar_observations(config, joints, wheels, where, report)}
     return tree
-
-
-def _rl_sar_config(folder: RunFolder) -> Tree:
-    """Return the content of ``config.yaml``, and of ``base.yaml`` in the same folder or in the folder above."""
-    bases = [place / "base.yaml" for place in (folder.path, folder.path.parent)]
-    contents = [read_mapping(base) for base in bases if base.is_file()][:1]
-    config: Tree = {}
-    for content in (*contents, folder.config):
-        inner = next(iter(content.values()))
-        config |= inner if isinstance(inner, Mapping) else content
-    return config
 
 
 def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list[str], list[str]]:

@@ -319,7 +319,11 @@ class EnvMapping:
 
     def _from_file(self, key: str, name: str, joints: list[str]) -> float | Tree:
         """Return a gain or limit from the robot's file, as Isaac Lab does for null."""
-        found = {joint: _file_value(self._dofs[joint], name) for joint in joints}
+        found: dict[str, float] = {}
+        for joint in joints:
+            dof = self._dofs[joint]
+            limits = {"velocity_limit": dof.max_velocity, "effort_limit": dof.effort}
+            found[joint] = limits[name] or math.inf if name in limits else getattr(dof.drive, name, 0.0)
         value: float | Tree = {re.escape(joint): number for joint, number in found.items()}
         if len(set(found.values())) <= 1:
             value = next(iter(found.values()), 0.0)
@@ -351,11 +355,7 @@ class EnvMapping:
 
     def _generator(self, part: Section) -> Tree:
         tiles = part.section("sub_terrains")
-        node: Tree = {
-            "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
-            "num_rows": 1,
-            "num_cols": 1,
-        }
+        node: Tree = {"_target_": "wheelleg_exp.sim.terrain.TerrainGenerator", "num_rows": 1, "num_cols": 1}
         node |= {"border_width": 0.0, "difficulty_range": [0.0, 1.0], "curriculum": False}
         node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
@@ -487,7 +487,9 @@ class _Names:
         if isinstance(value, Mapping):
             found: Tree = {}
             for key, item in value.items():
-                found |= dict.fromkeys(self.of(str(key), kind), self.applied(item, _kind_of_names(key, kind)))
+                joints = "joint" in str(key) or key in _BY_JOINT
+                inside = "link" if "bod" in str(key) else "joint" if joints else kind
+                found |= dict.fromkeys(self.of(str(key), kind), self.applied(item, inside))
             return found
         if isinstance(value, list):
             new: list[Any] = []
@@ -511,25 +513,6 @@ class _Names:
         except ConfigError:
             return [expression]
         return [*found, expression] if matches or not found else found
-
-
-def _kind_of_names(key: object, parent: str) -> str:
-    """Return which names the value of a key contains: ``joint``, ``link``, or those of the ``parent`` mapping."""
-    if "bod" in str(key):
-        return "link"
-    return "joint" if "joint" in str(key) or key in _BY_JOINT else parent
-
-
-def _file_value(dof: Dof, name: str) -> float:
-    """Return a gain or limit of a joint from the robot's file."""
-    drive = dof.drive
-    if name == "velocity_limit":
-        return dof.max_velocity or math.inf
-    if name != "effort_limit":
-        return getattr(drive, name) if drive is not None else 0.0
-    limits = [drive.effort] if drive is not None and drive.effort else []
-    limits += [max(map(abs, dof.force_range))] if dof.force_range is not None else []
-    return min(limits, default=math.inf)
 
 
 def _smaller(key: str, limit: float | Tree, of_engine: float | Tree, joints: list[str]) -> dict[str, float]:

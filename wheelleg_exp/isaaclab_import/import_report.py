@@ -38,7 +38,6 @@ class ImportReport:
     rows: list[Row] = field(default_factory=list)
 
     def add(self, key: str, outcome: str, text: str) -> None:
-        """Add a row."""
         self.rows.append(Row(key, outcome, text))
 
     def replace(self, key: str, outcome: str, text: str) -> None:
@@ -47,7 +46,6 @@ class ImportReport:
         self.add(key, outcome, text)
 
     def of(self, outcome: str) -> list[Row]:
-        """Return the rows with the given outcome."""
         return [row for row in self.rows if row.outcome == outcome]
 
     def counts(self) -> str:
@@ -82,7 +80,6 @@ class Section:
         return default if value is None else value
 
     def section(self, name: str) -> Section:
-        """Return and remove the mapping of a key."""
         return Section(self.take(name), self._key_of(name), self._report)
 
     def joined(self, name: str) -> Section:
@@ -102,7 +99,7 @@ class Section:
         """Return and remove the keys in ``names`` that are present and not null."""
         return {name: value for name in names if (value := self.take(name)) is not None}
 
-    def items(self) -> Iterator[tuple[str, Any]]:
+    def items(self) -> Iterator[tuple[str, object]]:
         """Yield and remove all remaining keys that are not null, with their values."""
         for name in list(self.left):
             value = self.take(name)

@@ -42,10 +42,7 @@ _TASK = "# @package _global_\n# The task of an imported run. README.md lists wha
 
 @dataclass(frozen=True)
 class Imported:
-    """An imported folder: the new project, its run directory (None without a policy), and the report.
-
-    ``what`` names the imported networks for ``init_from_what``.
-    """
+    """An imported folder: project, run directory (None without a policy), value of ``init_from_what``, and report."""
 
     path: Path
     run: Path | None
@@ -96,8 +93,12 @@ def import_run(
         mapping, agent = _convert(folder, copied, weights, author, report, table)
         for network in mapping.networks:
             _copy_network(network, [folder.path, folder.config_file.parent, robot.parent], copied.parent)
-        if weights is not None:
-            _require_observed(mapping.lost, agent, report)
+        lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost and weights is not None]
+        if lost:
+            rows = [row for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
+            key = next(row.key for row in rows if row.key.startswith(f"observations.{lost[0]}."))
+            expected = "--terms FOLDER with the author's Python code"
+            raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
         task = _write_project(draft, copied.name, mapping, agent, author)
         _remove_failing_terms(draft, task, report)
         draft.rename(path)
@@ -123,7 +124,6 @@ def _convert(
     report: ImportReport,
     names: Mapping[str, str],
 ) -> tuple[EnvMapping, Tree]:
-    """Return the converted robot and environment, and the config section ``agent``."""
     bodies = read(robot, "auto", {})[0].bodies
     dofs = {dof.name: dof for body in bodies for dof in body.dofs}
     try:
@@ -144,16 +144,6 @@ def _convert(
     except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
         raise malformed(folder.config_file, error) from error
     return mapping, agent if clip is None else agent | {"clip_actions": clip}
-
-
-def _require_observed(lost: Sequence[str], agent: Tree, report: ImportReport) -> None:
-    """Raise ConfigError if the policy observes a group that lacks a term."""
-    group = next((group for group in agent["obs_groups"]["actor"] if group in lost), None)
-    if group is not None:
-        rows = [row for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
-        key = next(row.key for row in rows if row.key.startswith(f"observations.{group}."))
-        expected = "--terms FOLDER with the author's Python code"
-        raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
 
 
 def _write_project(draft: Path, robot: str, mapping: EnvMapping, agent: Tree, author: AuthorTerms) -> Tree:

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -230,10 +229,11 @@ def _network(state: Mapping[str, object], prefix: str, normalizer: str, path: Pa
     return network
 
 
-def _normalize(network: Network, state: Mapping[str, Any], prefix: str) -> None:
+def _normalize(network: Network, state: Mapping[str, object], prefix: str) -> None:
     if f"{prefix}_mean" in state:
-        network.mean, network.deviation = state[f"{prefix}_mean"].float(), state[f"{prefix}_std"].float()
-        network.count = int(state.get(f"{prefix}count", 0))
+        mean, deviation = (torch.as_tensor(state[f"{prefix}{name}"]).float() for name in ("_mean", "_std"))
+        count = int(torch.as_tensor(state.get(f"{prefix}count", 0)))
+        network.mean, network.deviation, network.count = mean, deviation, count
 
 
 def _from_onnx(path: Path) -> PolicyWeights:

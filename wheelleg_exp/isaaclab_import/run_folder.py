@@ -59,7 +59,10 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
     content = read_mapping(agent) if agent.is_file() else None
     config = read_mapping(file)
     described = next((p for below in ("io_descriptors/", "") if (p := root / f"{below}{_DESCRIPTORS}").is_file()), None)
-    order = None if described is None else _joint_order(read_mapping(described))
+    robots = None if described is None else read_mapping(described).get("articulations")
+    robot = next(iter(robots.values()), None) if isinstance(robots, Mapping) else None
+    names = robot.get("joint_names") if isinstance(robot, Mapping) else None
+    order = names if isinstance(names, list) else None
     return RunFolder(root, file.name, config, file, content, policy or _policy(root, config), order)
 
 
@@ -71,13 +74,6 @@ def read_names(path: Path) -> dict[str, str]:
     if wrong := [f"{old!r}: {new!r}" for old, new in names.items() if old not in found]:
         raise RunDirectoryError(f"{wrong[0]} is not a pair of names", key=str(path), expected=expected)
     return found
-
-
-def _joint_order(descriptors: Mapping[str, object]) -> list[str] | None:
-    robots = descriptors.get("articulations")
-    robot = next(iter(robots.values()), None) if isinstance(robots, Mapping) else None
-    names = robot.get("joint_names") if isinstance(robot, Mapping) else None
-    return names if isinstance(names, list) else None
 
 
 def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
