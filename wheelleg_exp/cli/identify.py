@@ -39,8 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.build import prepare_asset
     from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.files import require_new, write_new
-    from wheelleg_exp.robot_logs.identified_profile import profile_text
-    from wheelleg_exp.robot_logs.motor_identification import UNITS, identify
+    from wheelleg_exp.robot_logs.motor_identification import UNITS, identify, profile_text
     from wheelleg_exp.robot_logs.robot_log import read_log
 
     require_new(output)
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             styled(sys.stderr).write(f"\r{line}  ")
 
     found = identify(log, config["env"], mjcf, weights, args.drive_rate, progress)
-    text = profile_text(found, args.robot, output.stem, args.log.name, found.groups)
+    text = profile_text(found, args.robot, output.stem, args.log.name)
     write_new(output, text.encode())
     if args.json:
         errors = {"fitted": found.fitted, "held_out": found.held_out, "pieces": found.pieces}

@@ -106,7 +106,10 @@ def possible_faults(
         for value in values:
             wrong = f"{what}: {column} is {{value:+.3g}} too high"
             yield Fault("offset", (column,), wrong, change, make.moved(column), value, True, 0.0, 0.02)
-    for axes in _axis_permutations():
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
+        if np.array_equal(axes, np.eye(3)):
+            continue
         words = [f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in axes]
         text = f"({', '.join(words)})"
         for columns, what in ((gyro, "base_ang_vel"), (gravity, "projected_gravity"), (gyro + gravity, "the IMU")):
@@ -166,11 +169,3 @@ def _scales(make: _Maker, columns: Sequence[str], what: str) -> Iterator[Fault]:
     for value in _SCALES:
         wrong, change = f"{what} reads {{value:.3g}} times the true value", f"divide {what} by {{value:.3g}}"
         yield Fault("scale", tuple(columns), wrong, change, make.scaled(columns), value, True, 1.0, 0.05)
-
-
-def _axis_permutations() -> Iterator[np.ndarray]:
-    """Yield the 47 signed permutations of three axes without the identity."""
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        axes = np.eye(3)[list(order)] * np.array(signs)[:, None]
-        if not np.array_equal(axes, np.eye(3)):
-            yield axes

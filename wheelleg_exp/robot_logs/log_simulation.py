@@ -6,12 +6,10 @@ readings of the base's height and linear velocity: the wheels stand on level gro
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,6 +20,7 @@ from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.robot_logs.robot_log import TARGETS, Numbers, RobotLog
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.options import read_env
 
 WINDOW_S, MOST_LAG = 0.1, 6  # MOST_LAG is the longest delay that is tried, in rows.
 _LANDING_S = 1.0  # s; the start of an episode that windows leave out
@@ -93,13 +92,13 @@ def _silent() -> Iterator[None]:
 class LogSimulation:
     """N simulations of the robot of a run's ``env`` config on level ground; a control step takes ``step_dt``, s."""
 
-    def __init__(self, params: Mapping[str, Any], mjcf: Path, num_envs: int, step_dt: float) -> None:
-        found = copy.deepcopy(dict(params))
-        ground = {name: found["scene"]["terrain"][name] for name in _FRICTION if name in found["scene"]["terrain"]}
-        found["scene"] |= {"terrain": {"_target_": _PLANE, **ground}, "sensors": {}}
-        self.decimation = int(found["decimation"])
-        found["sim"] |= {"dt": step_dt / self.decimation}
-        self.scene = SceneManager(found, mjcf, num_envs).scene
+    def __init__(self, params: Mapping[str, object], mjcf: Path, num_envs: int, step_dt: float) -> None:
+        env = read_env(params)
+        self.decimation = env.decimation
+        ground = {name: env.scene.terrain[name] for name in _FRICTION if name in env.scene.terrain}
+        scene = replace(env.scene, terrain={"_target_": _PLANE, **ground}, sensors={})
+        env = replace(env, scene=scene, sim=replace(env.sim, dt=step_dt / env.decimation))
+        self.scene = SceneManager(env, mjcf, num_envs).scene
         self.scene.play()
         self.robot, self.sim = self.scene.robot, self.scene.sim
         self.step_dt = self.scene.physics_dt * self.decimation

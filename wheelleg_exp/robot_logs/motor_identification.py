@@ -1,4 +1,4 @@
-"""Identify the motors of a robot from a log of chirps: the parameters with which the simulation repeats the log.
+"""Identify the motors of a robot from a log of chirps, and write a robot profile with them.
 
 The robot's base is fixed in the simulation, and the drives follow the log's targets. For each driven joint, a
 least-squares fit (scipy's trust region) finds seven parameters: armature, Coulomb friction, viscous friction, gain (a
@@ -21,13 +21,14 @@ sums g of J* r* over each 0.25 s of a chirp. The half width is multiplied by the
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
 from types import MappingProxyType
-from typing import Any, cast
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -36,11 +37,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.constraints import Node
 from wheelleg_exp.errors import EXIT_FINDING, not_one_of
 from wheelleg_exp.managers import SceneManager
 from wheelleg_exp.robot_logs.robot_log import TARGETS, LogError, Numbers, RobotLog, columns_of, noise_of
 from wheelleg_exp.sim.actuators import DelayedPDActuator
 from wheelleg_exp.sim.batch_engine import BatchEngine
+from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.sim.robot_model import RobotLayout
 
 PARAMETERS = ("armature", "friction", "viscous_friction", "gain", "delay", "effort_scale", "latency")
@@ -117,19 +120,20 @@ class ChirpSimulation:
     """
 
     def __init__(
-        self, env: Mapping[str, Any], mjcf: Path, num_envs: int, gravity: Numbers, weights: Weights, rate: float
+        self, env: EnvOptions, mjcf: Path, num_envs: int, gravity: Numbers, weights: Weights, rate: float
     ) -> None:
-        found = copy.deepcopy(dict(env))
-        self.step_dt = found["sim"]["dt"] * found["decimation"]
+        self.step_dt = env.sim.dt * env.decimation
         self.substeps = max(1, round(self.step_dt * rate))
-        found["robot"]["init_state"] |= {"pos": [0.0, 0.0, _HEIGHT], "rot": [1.0, 0.0, 0.0, 0.0]}
-        found["sim"] |= {"gravity": gravity.tolist(), "dt": self.step_dt / self.substeps, "integrator": "euler"}
-        found["scene"] |= {"sensors": {}}
-        for name, group in found["robot"]["actuators"].items():
-            if group is not None:
-                drive = {key: value for key, value in group.items() if key in _PD}
-                found["robot"]["actuators"][name] = {"effort_limit": 1e9, "velocity_limit": 1e9, **drive, **_TARGET}
-        self.scene = SceneManager(found, mjcf, num_envs).scene
+        actuators: dict[str, Node | None] = {}
+        for name, node in env.robot.actuators.items():
+            if node is not None:
+                drive = {key: value for key, value in node.items() if key in _PD}
+                actuators[name] = {"effort_limit": 1e9, "velocity_limit": 1e9, **drive, **_TARGET}
+        start = replace(env.robot.init_state, pos=[0.0, 0.0, _HEIGHT], rot=[1.0, 0.0, 0.0, 0.0])
+        robot = replace(env.robot, init_state=start, actuators=actuators)
+        sim = replace(env.sim, gravity=gravity.tolist(), dt=self.step_dt / self.substeps, integrator="euler")
+        env = replace(env, robot=robot, sim=sim, scene=replace(env.scene, sensors={}))
+        self.scene = SceneManager(env, mjcf, num_envs).scene
         for joint, (mass, radius) in weights.items():
             if joint not in (known := self.scene.robot.joint_names):
                 raise not_one_of(f"the robot has no joint '{joint}'", joint, known, key="--weight")
@@ -139,16 +143,13 @@ class ChirpSimulation:
         self.robot, self.sim = self.scene.robot, cast(BatchEngine, self.scene.sim)
         self.names = list(self.robot.joint_names)
         self.driven = self.robot.layout.actuated_ids.tolist()  # in the order of MuJoCo's actuators
-        self.drives = {key: self._of_joints(key) for key in ("stiffness", "damping", "effort_limit")}
+        self.drives = {key: np.zeros(len(self.names)) for key in ("stiffness", "damping", "effort_limit")}
+        for key, numbers in self.drives.items():
+            for group in self.robot.actuators.values():
+                numbers[group.joint_ids] = getattr(group, key)[0]
         # ``trees`` (J,): the kinematic tree of each joint; different trees move independently.
         trees = self.sim.model.dof_treeid[self.robot.layout.dof_ids.numpy()]
         self.trees = np.zeros_like(trees) if self.sim.model.neq or self.sim.model.ntendon else trees
-
-    def _of_joints(self, key: str) -> Numbers:
-        values = np.zeros(len(self.names))
-        for group in self.robot.actuators.values():
-            values[group.joint_ids] = getattr(group, key)[0]
-        return values
 
     def start_values(self, delays: Mapping[str, float]) -> Numbers:
         """Return the parameters of the config, (driven joints, 7); ``delays`` (s) by actuator group."""
@@ -223,19 +224,20 @@ class _Pieces:
 
 def identify(
     log: RobotLog,
-    env: Mapping[str, Any],
+    params: Mapping[str, object],
     mjcf: Path,
     weights: Weights = MappingProxyType({}),
     drive_rate: float = DRIVE_RATE,
     progress: Progress = None,
 ) -> Identified:
-    """Identify the motors of the robot in an ``env`` config from a log of chirps.
+    """Identify the motors of the robot in the ``env`` config ``params`` from a log of chirps.
 
     Every second half of the log's pieces (the chirps that ``chirps.py`` plays from high to low frequency) is held out.
     ``progress`` is called with a line of text after each evaluation. Raise LogError if the log has no chirps, or if the
     best simulation differs from it by more than 5 times the noise.
     """
     _chirp_starts(log)
+    env = read_env(params)
     columns = columns_of("projected_gravity", 3, ())
     mean = log.complete_table(columns).mean(axis=0) if log.has(columns) else np.array([0.0, 0.0, -1.0])
     if np.linalg.norm(mean) < 0.5:
@@ -246,9 +248,9 @@ def identify(
     pieces = _pieces(log, probe)
     half = (pieces.start.shape[0] + 1) // 2
     fitted, held_out = pieces.of(slice(half)), pieces.of(slice(half, None))
-    actuators = {name: group for name, group in env["robot"]["actuators"].items() if group is not None}
+    actuators = {name: group for name, group in env.robot.actuators.items() if group is not None}
     bounds = {n: g.get("delay") or (g.get("min_delay", 0), g.get("max_delay", 0)) for n, g in actuators.items()}
-    before = probe.start_values({name: env["sim"]["dt"] * sum(pair) / 2 for name, pair in bounds.items()})
+    before = probe.start_values({name: env.sim.dt * sum(pair) / 2 for name, pair in bounds.items()})
     free = np.broadcast_to([name != "effort_scale" for name in PARAMETERS], before.shape).copy()
     free[:, 5] = probe.inertias()[1] & np.isfinite(pieces.logged[:, :, 2]).any()
     most = 1 + max(np.bincount(probe.trees[probe.driven], free.sum(axis=1)))
@@ -283,10 +285,10 @@ def identify(
     ]
     drives = {key: dict(zip(probe.names, values.tolist(), strict=True)) for key, values in probe.drives.items()}
     groups = {name: list(group.joint_names) for name, group in probe.robot.actuators.items()}
-    classes = {name: resolve_name(env["robot"]["actuators"][name]["_target_"]) for name in groups}
+    classes = {name: resolve_name(actuators[name]["_target_"]) for name in groups}
     delayed = frozenset(name for name, kind in classes.items() if issubclass(kind, DelayedPDActuator))
     counts = (half, len(held_out.start))
-    steps = env["sim"]["dt"], probe.substeps / probe.step_dt
+    steps = env.sim.dt, probe.substeps / probe.step_dt
     return Identified(parameters, scores[0], scores[1], counts, drives, *steps, groups, delayed)
 
 
@@ -505,3 +507,43 @@ class _Fit:
         both = (np.einsum("pv,pq,qv->v", change, covariance[:-1, :-1], change) for covariance in (white, grouped))
         deviation = np.sqrt(np.maximum(*both).clip(min=0.0)).reshape(self.start.shape)
         return self.values(x), float(stats.t.ppf(0.975, spare)) * deviation
+
+
+_ROUNDED = 0.05  # A delay this close to a whole number of physics steps is rounded.
+
+
+def profile_text(found: Identified, base: str, name: str, log: str) -> str:
+    """Return the YAML of a profile that inherits from the robot config ``base``; comments are confidence intervals."""
+    values = {(p.joint, p.name): p for p in found.parameters}
+    printable = re.sub(r"[^\w ./-]", "?", log)
+    lines = ["# @package env.robot", f"# Like `{base}`, with motors identified from {printable}."]
+    lines += ["# The comments contain 95 % confidence intervals."]
+    lines += [f"# The values are those of continuous joints whose drives compute torques at {found.drive_rate:.4g} Hz."]
+    lines += ["# A physics step of training adds damping to them: the shorter the step (sim=fine), the less."]
+    lines += ["defaults:", f"  - {base}", "  - _self_"]
+    lines += [f"profile: {name}", "actuators:"]
+    for group, joints in found.groups.items():
+        lines.append(f"  {group}:")
+        for key in PARAMETERS[:3]:
+            lines += _mapping(key, UNITS[key], [(values[joint, key], 1.0) for joint in joints])
+        for key, unit in (("stiffness", "N·m/rad"), ("damping", "N·m·s/rad")):
+            lines += _mapping(key, unit, [(values[joint, "gain"], found.drives[key][joint]) for joint in joints])
+        delays = [values[joint, "delay"] for joint in joints]
+        steps = [p.value / found.physics_dt for p in delays]
+        text = ", ".join(f"{p.joint} {1e3 * p.value:.3g} ms ({1e3 * p.low:.3g} to {1e3 * p.high:.3g})" for p in delays)
+        bounds = [math.floor(min(steps) + _ROUNDED), math.ceil(max(steps) - _ROUNDED)]
+        low, high = min(bounds), max(bounds)
+        delay = f"min_delay: {low}\n    max_delay: {high}" if group in found.delayed else f"delay: [{low}, {high}]"
+        lines.append(f"    {delay}   # physics steps; {text}")
+        for p in (values[joint, "effort_scale"] for joint in joints if (joint, "effort_scale") in values):
+            interval = f"({p.low:.4g} to {p.high:.4g})"
+            lines.append(f"    # The logged effort of {p.joint} is {p.value:.4g} times its torque {interval}.")
+    return "\n".join(lines) + "\n"
+
+
+def _mapping(key: str, unit: str, values: Sequence[tuple[Parameter, float]]) -> list[str]:
+    lines = [f"    {key}:   # {unit}"]
+    for p, factor in values:
+        interval = f"{factor * p.low:.4g} to {factor * p.high:.4g}"
+        lines.append(f"      '{re.escape(p.joint)}': {factor * p.value:.5g}   # {interval}")
+    return lines

@@ -115,10 +115,7 @@ def noise_of(values: Numbers, axes: tuple[int, ...] = (0,)) -> Numbers:
 
 
 def read_log(path: Path) -> RobotLog:
-    """Read a log, and check the checksums of the file.
-
-    Raise LogError if the file is damaged, or is not a log in CSV, Parquet, or MCAP with at least two rows.
-    """
+    """Read and check a log; raise LogError for a damaged file, another format, or fewer than two rows."""
     if path.suffix.lower() not in _SUFFIXES:
         raise LogError(f"'{path}' is not a robot's log", expected="a file that ends with " + ", ".join(_SUFFIXES))
     if not path.is_file():
