@@ -236,7 +236,7 @@ def test_pushes_add_up_to_their_change_of_velocity_over_their_length(monkeypatch
     cells = SimpleNamespace(cell_of=lambda: torch.arange(4))
     rollout = SimpleNamespace(env=SimpleNamespace(step_dt=0.02, device="cpu"), scenarios=cells)
     options = SimpleNamespace(directions=2, pulses_s=[0.0, 0.06], at_s=0.1)
-    push = disturbance_tests.Pushes(rollout, options).of(torch.tensor([1.0, 1.0, 0.6, 0.6]))
+    push = disturbance_tests.pushes(rollout, options)(torch.tensor([1.0, 1.0, 0.6, 0.6]))
     lengths = [push(step) or len(given) for step in range(12)]
     assert lengths == [0] * 5 + [1, 2] + [3] * 5
     changes = torch.stack(given)[:, :, 0]

@@ -45,15 +45,15 @@ def test_the_worst_cell_counts_and_episodes_have_equal_weights_in_a_quadratic_me
 
 def test_a_metric_is_of_the_rows_of_its_test_that_have_a_number():
     episodes = {"test": np.array(["stand", "stand", "walk"]), "height": np.array([1.0, math.nan, 5.0])}
-    found = figure(Metric("stand/height", "stand", ("height",), mean, "m"), episodes, 1, 50)
+    found = figure(Metric("stand/height", ("height",), mean, "m"), episodes, 1, 50)
     assert (found.value, found.low, found.high, found.episodes) == (1.0, 1.0, 1.0, 1)
-    nobody = figure(Metric("push/height", "push", ("height",), mean, "m"), episodes, 1, 50)
+    nobody = figure(Metric("push/height", ("height",), mean, "m"), episodes, 1, 50)
     assert (nobody.episodes, nobody.as_dict()["value"]) == (0, None)
 
 
 def test_the_interval_is_that_of_a_mean():
     draws = np.random.default_rng(3).normal(2.0, 1.0, size=400)
     episodes = {"test": np.full(400, "stand"), "x": draws}
-    found = figure(Metric("stand/x", "stand", ("x",), mean), episodes, 1, 4000)
+    found = figure(Metric("stand/x", ("x",), mean), episodes, 1, 4000)
     error = 1.96 * draws.std() / math.sqrt(400)  # The central limit theorem gives the expected interval.
     assert (found.low, found.high) == pytest.approx((draws.mean() - error, draws.mean() + error), abs=0.01)

@@ -14,11 +14,11 @@ result classes at the first use, because their modules import torch.
 | ``metric_catalogue`` | all metrics, and their intervals |
 | ``protocol`` | all tests of a protocol: the entry point |
 | ``result`` | the evaluation's result |
-| ``significance``, ``method_comparison`` | intervals over training seeds; tests of paired episodes |
+| ``method_comparison`` | intervals over training seeds; tests of paired episodes |
 | ``lqr_balancer`` | a linear-quadratic balancer as a reference |
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from wheelleg_exp.evaluation.protocol import evaluate
@@ -27,12 +27,9 @@ if TYPE_CHECKING:
 __all__ = ["Evaluation", "Figure", "evaluate"]
 
 
-_HOME = {"evaluate": "protocol", "Evaluation": "result", "Figure": "result"}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+def __getattr__(name: str) -> object:
+    if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(import_module(f"{__name__}.{'protocol' if name == 'evaluate' else 'result'}"), name)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from wheelleg_exp.constraints import Node
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import with_action_delay, with_sensor_errors
+from wheelleg_exp.evaluation.evaluation_env import on_ground
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Disturb, Policy, Progress, Rollout
 from wheelleg_exp.evaluation.protocol_options import KICK_S, PROPERTIES, GetUp, Jump, Push, Robust
@@ -23,35 +23,29 @@ from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.terms.config_sections import ActionRealism, SensorRealism
 
 
-@dataclass
-class Pushes:
-    """Pushes robots: changes their velocities in a yaw-aligned frame, in one step or evenly over several steps."""
+def pushes(rollout: Rollout, options: Push) -> Callable[[torch.Tensor], Disturb]:
+    """Return a function of each robot's change of velocity, m/s, (N,); it returns a callback that pushes the robots.
 
-    rollout: Rollout
-    options: Push
+    A push changes the velocity in a yaw-aligned frame, in one step or evenly over several steps.
+    """
+    env = rollout.env
+    cell = rollout.scenarios.cell_of().to(env.device)
+    turn = (cell % options.directions).float() * (2.0 * math.pi / options.directions)
+    direction = torch.stack((turn.cos(), turn.sin()), dim=1)
+    steps = [max(1, round(pulse / env.step_dt)) for pulse in options.pulses_s]
+    pulse = torch.tensor(steps, device=env.device)[cell // options.directions]
+    begin = round(options.at_s / env.step_dt)
 
-    def __post_init__(self) -> None:
-        env, options = self.rollout.env, self.options
-        cell = self.rollout.scenarios.cell_of().to(env.device)
-        turn = (cell % options.directions).float() * (2.0 * math.pi / options.directions)
-        self.direction = torch.stack((turn.cos(), turn.sin()), dim=1)
-        steps = [max(1, round(pulse / env.step_dt)) for pulse in options.pulses_s]
-        self.pulse = torch.tensor(steps, device=env.device)[cell // options.directions]
-        self.begin = round(options.at_s / env.step_dt)
-        self._longest = max(steps)
-
-    def of(self, change: torch.Tensor) -> Callable[[int], None]:
-        """Return a callback ``push(step)``; its calls together change each robot's velocity by ``change`` (N,), m/s."""
-        env = self.rollout.env
-        each = self.direction * (change / self.pulse).unsqueeze(1)
+    def push_by(change: torch.Tensor) -> Disturb:
+        each = direction * (change / pulse).unsqueeze(1)
 
         def push(step: int) -> None:
-            done = step - self.begin
-            if not 0 <= done < self._longest:
-                return
-            add_velocity(env, each * (done < self.pulse).unsqueeze(1))
+            if 0 <= step - begin < max(steps):
+                add_velocity(env, each * (step - begin < pulse).unsqueeze(1))
 
         return push
+
+    return push_by
 
 
 def add_velocity(env: ManagerBasedRLEnv, change: torch.Tensor) -> None:
@@ -81,17 +75,16 @@ def push_columns(
     robot falls, or if tilt and height never leave their bands. ``recovered`` is 1 if the robot does not fall and its
     tilt and height stay in their bands from ``within_s`` on, else 0.
     """
-    pushes, n = Pushes(rollout, options), rollout.scenarios.size
-    low = torch.zeros(n, device=rollout.env.device)
+    push_by, low = pushes(rollout, options), torch.zeros(rollout.scenarios.size, device=rollout.env.device)
     high = torch.full_like(low, float(options.highest))
     rolls = options.iterations + 1
     for iteration in range(options.iterations):
         middle = (low + high) / 2
-        made = rollout.roll(policy, seed, _part(progress, iteration, rolls), pushes.of(middle))
+        made = rollout.roll(policy, seed, _part(progress, iteration, rolls), push_by(middle))
         # The hardest survived push is between ``low`` and ``high``: a fall lowers ``high``, survival raises ``low``.
         low, high = torch.where(made.fell, low, middle), torch.where(made.fell, middle, high)
     reference = torch.full_like(low, float(options.reference))
-    made = rollout.roll(policy, seed, _part(progress, options.iterations, rolls), pushes.of(reference))
+    made = rollout.roll(policy, seed, _part(progress, options.iterations, rolls), push_by(reference))
     limit = torch.where(low > 0, (low + high) / 2, 0.0).double()
     before = made.counted(0.0, options.at_s)
     height = mean(made.height, before) if target is None else torch.full_like(limit, target)
@@ -199,11 +192,6 @@ def changed(env: EnvOptions, options: Robust, name: str, value: float) -> EnvOpt
 
 def _noisy(model: str, **parameters: float) -> SensorRealism:
     return SensorRealism(noise={"_target_": f"wheelleg_exp.mdp.noise.{model}", **parameters})
-
-
-def on_ground(env: EnvOptions, terrain: Node) -> EnvOptions:
-    """Return the options of the environment with another terrain."""
-    return replace(env, scene=replace(env.scene, terrain=terrain))
 
 
 def _with_event(env: EnvOptions, what: str, parameters: Mapping[str, object], **bodies: object) -> EnvOptions:

@@ -23,9 +23,9 @@ from wheelleg_exp.evaluation.protocol_options import Ground, Protocol
 from wheelleg_exp.managers import Env
 from wheelleg_exp.sim.options import EnvOptions
 
+FRICTION = ("static_friction", "dynamic_friction", "restitution")
 CONTACTS = "evaluation_contacts"
-_SENSOR = "wheelleg_exp.sim.sensors.ContactSensor"
-_CONTACTS = {"_target_": _SENSOR, "body_names": [".*"], "history_length": 1, "track_air_time": False}
+_CONTACTS = {"_target_": "wheelleg_exp.sim.sensors.ContactSensor", "body_names": [".*"]}
 _MOST_CONTACTS = 8  # A wheel on rough ground has at most 8 contacts.
 
 
@@ -45,9 +45,11 @@ def evaluation_options(
         raise ConfigError(message, key="protocol.command", expected=expected, nearest=nearest)
     sensors = dict(env.scene.sensors)
     if contact_sensor(sensors) is None:
-        force = protocol.contact_force
-        sensors[CONTACTS] = {**_CONTACTS, "force_threshold": force, "max_contacts": _MOST_CONTACTS}
-    terrain = flat(env.scene.terrain) if ground == "flat" else env.scene.terrain
+        options = {"history_length": 1, "track_air_time": False, "max_contacts": _MOST_CONTACTS}
+        sensors[CONTACTS] = {**_CONTACTS, **options, "force_threshold": protocol.contact_force}
+    terrain = env.scene.terrain
+    if ground == "flat":
+        terrain = {"_target_": "wheelleg_exp.sim.terrain.Plane", **{name: terrain[name] for name in FRICTION}}
     return replace(
         env,
         num_envs=num_envs,
@@ -65,14 +67,12 @@ def evaluation_options(
 
 def contact_sensor(sensors: Mapping[str, Node | None]) -> str | None:
     """Return the name of a contact sensor on every body of the robot, or None if the scene has no such sensor."""
-    wanted = {name: _CONTACTS[name] for name in ("_target_", "body_names")}
-    return next((n for n, node in sensors.items() if node and all(node.get(k) == v for k, v in wanted.items())), None)
+    return next((n for n, node in sensors.items() if node and node.items() >= _CONTACTS.items()), None)
 
 
-def flat(terrain: Node) -> Node:
-    """Return a terrain config of a plane that has the friction of the given terrain config."""
-    friction = {name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")}
-    return {"_target_": "wheelleg_exp.sim.terrain.Plane", **friction}
+def on_ground(env: EnvOptions, terrain: Node) -> EnvOptions:
+    """Return the options of the environment with another terrain."""
+    return replace(env, scene=replace(env.scene, terrain=terrain))
 
 
 def build(options: EnvOptions, mjcf: Path, seed: int) -> ManagerBasedRLEnv:
@@ -83,13 +83,6 @@ def build(options: EnvOptions, mjcf: Path, seed: int) -> ManagerBasedRLEnv:
         message = "only robots with a floating base can be evaluated"
         raise ConfigError(message, key="env.robot.base", expected="floating")
     return env
-
-
-def target_height(env: EnvOptions, protocol: Protocol) -> float | None:
-    """Return the target height of the base, m: the protocol's, else that of the first reward with one, else None."""
-    heights = (node["target_height"] for node in target_heights(env).values())
-    found = protocol.target_height if protocol.target_height is not None else next(heights, None)
-    return None if found is None else float(found)
 
 
 def target_heights(env: EnvOptions) -> dict[str, Node]:

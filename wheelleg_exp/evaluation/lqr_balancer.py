@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from scipy import linalg
@@ -18,7 +18,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env
 from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositionAction, JointVelocityAction
 
-Array = np.ndarray[Any, Any]
+Array = np.ndarray
 
 # `_STATES` weights position, pitch, speed, and pitch rate in the LQR cost; `_INPUT` weights the wheel acceleration.
 _STATES = (200.0, 400.0, 20.0, 4.0)
@@ -69,8 +69,8 @@ class Pendulum:
         The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
         to the body, so the model does not need the motors' armature. With pitch θ, axle speed v, and wheel torque τ,
         the body's equation is ``inertia·θ'' + mass·height·v' = mass·gravity·height·θ - τ``. The wheels' equation is
-        ``(mass + rolling)·v' + mass·height·θ'' = τ / radius`` with the pitch θ, the axle speed v, and the wheel torque
-        τ. The axle speed is ``radius·(w + θ')`` with the pitch rate θ' and the wheel speed w relative to the body.
+        ``(mass + rolling)·v' + mass·height·θ'' = τ / radius``. The axle speed is ``radius·(w + θ')`` with the pitch
+        rate θ' and the wheel speed w relative to the body.
         """
         falls = self.mass * self.gravity * self.height / self._inertia
         tilts = -self._coupling * self.radius / self._inertia
@@ -125,7 +125,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     return pendulum, anatomy
 
 
-def _inertia(model: Any, data: Any, bodies: set[int], axis: Array, point: Array | None) -> float:
+def _inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: set[int], axis: Array, point: Array | None) -> float:
     """Return the sum of the bodies' inertias, kg·m², about an axis through ``point`` or each body's centre of mass."""
     total = 0.0
     for body in bodies:

@@ -11,17 +11,17 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
-from wheelleg_exp.evaluation.motion_columns import Columns, Motion, fast_share
+from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.result import Figure
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.mdp.root_motion import SIDES
 
-Array = np.ndarray[Any, Any]
+Array = np.ndarray
 Reduce = Callable[[Sequence[Array]], Array]
 Rows = Callable[[Mapping[str, Array]], Array]
 LEVEL = 0.95  # confidence level
@@ -47,7 +47,7 @@ def worst(columns: Sequence[Array]) -> Array:
 
 def median(columns: Sequence[Array]) -> Array:
     """Return the median of a column over episodes."""
-    return np.median(columns[0], axis=-1)
+    return np.asarray(np.median(columns[0], axis=-1))
 
 
 def gain(columns: Sequence[Array]) -> Array:
@@ -82,8 +82,11 @@ def area(columns: Sequence[Array], band: float) -> Array:
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Compute the mean or median (``of``) of each group of episodes, and return the lowest of these results."""
-    cell, value = columns
+    """Compute the mean or median (``of``) of each group of episodes, and return the lowest of these results.
+
+    ``columns`` contains each episode's group, and values that are multiplied.
+    """
+    cell, value = columns[0], np.prod(columns[1:], axis=0)
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a velocity command, and numpy warns about means of empty arrays.
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -98,11 +101,6 @@ def all_of(columns: Sequence[Array]) -> Array:
 
 
 worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, of=np.nanmean)
-
-
-def worst_share(columns: Sequence[Array]) -> Array:
-    """Return the lowest share, over groups of episodes, of episodes in which all columns after the group are 1."""
-    return worst_mean([columns[0], np.prod(columns[1:], axis=0)])
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
@@ -167,8 +165,7 @@ class Metric:
     """The declaration of one metric.
 
     Attributes:
-        name: ``group/metric``.
-        test: the test of its episodes.
+        name: ``test/metric``, where ``test`` is the test of its episodes.
         columns: its numeric columns; episodes with NaN in one of them are skipped.
         reduce: makes one number of the columns.
         unit: unit of the number.
@@ -177,12 +174,16 @@ class Metric:
     """
 
     name: str
-    test: str
     columns: tuple[str, ...]
     reduce: Reduce
     unit: str = ""
     better: str = "lower"
     rows: Rows = everything
+
+    @property
+    def test(self) -> str:
+        """The test of the metric's episodes, such as ``walk``."""
+        return self.name.partition("/")[0]
 
     def mask(self, episodes: Mapping[str, Array]) -> Array:
         """Return the mask of the episodes that a metric uses, (E,) bool."""
@@ -245,8 +246,8 @@ def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, o
 def _survival(test: str, columns: Mapping[str, Array]) -> Iterator[Metric]:
     for name in columns:
         if name.startswith("survived"):
-            yield Metric(f"{test}/{name.replace('survived', 'survival')}", test, (name,), mean, better="higher")
-    yield Metric(f"{test}/time_to_failure", test, ("time_to_failure_s",), mean, "s", "higher")
+            yield Metric(f"{test}/{name.replace('survived', 'survival')}", (name,), mean, better="higher")
+    yield Metric(f"{test}/time_to_failure", ("time_to_failure_s",), mean, "s", "higher")
 
 
 class Measure(NamedTuple):
@@ -289,14 +290,13 @@ MOTION = (
     Measure("action_rate_per_s", "1/s", mean, "lower", lambda m: m.action_change(1)),
     Measure("action_acceleration_per_s2", "1/s²", mean, "lower", lambda m: m.action_change(2)),
     Measure("torque_difference_rms_nm", "N·m", quadratic, "lower", lambda m: m.torque_change()),
-    Measure("fast_power_share", "", mean, "lower", lambda m: fast_share(m.driven_torque, m.counted, m.made.dt)),
+    Measure("fast_power_share", "", mean, "lower", lambda m: m.fast_power_share()),
 )
 
 
 def measured(motion: Motion, measures: Sequence[Measure] = (*POSTURE, *MOTION)) -> Columns:
     """Return the columns that the formulas of the metric catalogue compute from the motion of N episodes, (N,) each."""
-    found = {measure.column: measure.formula(motion) for measure in measures}
-    return {name: column for name, column in found.items() if column is not None}
+    return {measure.column: column for measure in measures if (column := measure.formula(motion)) is not None}
 
 
 _ENDINGS = ("_rad_s", "_per_s2", "_per_s", "_rad", "_m_s", "_nm", "_m", "_w", "_j")
@@ -306,19 +306,19 @@ def _shared_metrics(test: str, columns: Mapping[str, Array], rows: Rows) -> Iter
     for name in columns:
         if name.startswith(("torque_rms_", "torque_share_")):
             unit = "N·m" if name.startswith("torque_rms_") else ""
-            yield Metric(f"{test}/{_short(name)}", test, (name,), quadratic, unit, rows=rows)
+            yield Metric(f"{test}/{_short(name)}", (name,), quadratic, unit, rows=rows)
         elif name.startswith("saturation_"):
-            yield Metric(f"{test}/{name}", test, (name,), mean, rows=rows)
+            yield Metric(f"{test}/{name}", (name,), mean, rows=rows)
     for name, unit, reduce, better, _ in (*POSTURE, *MOTION):
-        yield Metric(f"{test}/{_short(name)}", test, (name,), reduce, unit, better, rows)
+        yield Metric(f"{test}/{_short(name)}", (name,), reduce, unit, better, rows)
 
 
-def _drift(name: str, test: str, rows: Rows) -> Iterator[Metric]:
-    yield Metric(f"{name}drift", test, ("drift_max_m",), mean, "m", rows=rows)
-    yield Metric(f"{name}drift_worst", test, ("drift_max_m",), worst, "m", rows=rows)
-    yield Metric(f"{name}drift_speed", test, ("drift_speed_m_s",), mean, "m/s", rows=rows)
-    yield Metric(f"{name}yaw_drift", test, ("yaw_drift_rad",), mean, "rad", rows=rows)
-    yield Metric(f"{name}yaw_drift_speed", test, ("yaw_drift_rad_s",), mean, "rad/s", rows=rows)
+def _drift(name: str, rows: Rows) -> Iterator[Metric]:
+    yield Metric(f"{name}drift", ("drift_max_m",), mean, "m", rows=rows)
+    yield Metric(f"{name}drift_worst", ("drift_max_m",), worst, "m", rows=rows)
+    yield Metric(f"{name}drift_speed", ("drift_speed_m_s",), mean, "m/s", rows=rows)
+    yield Metric(f"{name}yaw_drift", ("yaw_drift_rad",), mean, "rad", rows=rows)
+    yield Metric(f"{name}yaw_drift_speed", ("yaw_drift_rad_s",), mean, "rad/s", rows=rows)
 
 
 def _short(name: str) -> str:
@@ -327,140 +327,135 @@ def _short(name: str) -> str:
 
 def _of_standing(columns: Mapping[str, Array]) -> Iterator[Metric]:
     yield from _survival("stand", columns)
-    yield from _drift("stand/", "stand", everything)
+    yield from _drift("stand/", everything)
     yield from _shared_metrics("stand", columns, everything)
 
 
 def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
-    test = "walk"
-    yield from _survival(test, columns)
+    yield from _survival("walk", columns)
     for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
         rows = partial(differing, column=f"command_{axis}", value=0.0)
-        yield Metric(f"walk/error_{axis}", test, (f"error_{axis}",), quadratic, unit, rows=surviving)
-        yield Metric(f"walk/error_{axis}_with_falls", test, (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
-        yield Metric(f"walk/gain_{axis}", test, (f"command_{axis}", f"velocity_{axis}"), gain, better="")
-        yield Metric(f"walk/sign_{axis}", test, (f"sign_{axis}",), mean, better="higher", rows=rows)
-        yield Metric(f"walk/skill_{axis}", test, (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
-    yield Metric("walk/error_wheels", test, ("error_wheels_m_s",), quadratic, "m/s", "", surviving)
+        yield Metric(f"walk/error_{axis}", (f"error_{axis}",), quadratic, unit, rows=surviving)
+        yield Metric(f"walk/error_{axis}_with_falls", (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
+        yield Metric(f"walk/gain_{axis}", (f"command_{axis}", f"velocity_{axis}"), gain, better="")
+        yield Metric(f"walk/sign_{axis}", (f"sign_{axis}",), mean, better="higher", rows=rows)
+        yield Metric(f"walk/skill_{axis}", (f"score_{axis}", f"still_{axis}"), skill, better="higher", rows=rows)
+    yield Metric("walk/error_wheels", ("error_wheels_m_s",), quadratic, "m/s", "", surviving)
     errors = ("cell", "off_vx", "off_wz")
-    yield Metric("walk/commandable_area", test, errors, partial(area, band=band), better="higher")
-    yield Metric("walk/in_band", test, ("in_band",), mean, better="higher")
-    yield from _drift("walk/zero_", test, still)
-    yield from _shared_metrics(test, columns, moving)
+    yield Metric("walk/commandable_area", errors, partial(area, band=band), better="higher")
+    yield Metric("walk/in_band", ("in_band",), mean, better="higher")
+    yield from _drift("walk/zero_", still)
+    yield from _shared_metrics("walk", columns, moving)
 
 
 def _of_steps(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test = "steps"
-    yield from _survival(test, columns)
+    yield from _survival("steps", columns)
     for axis, unit in (("vx", "m"), ("wz", "rad")):
         for name in ("settle", "reversal", "stop"):
-            yield Metric(f"steps/{name}_{axis}", test, (f"{name}_s_{axis}",), mean, "s")
-            yield Metric(f"steps/{name}_share_{axis}", test, (f"{name}_did_{axis}",), mean, better="higher")
-        yield Metric(f"steps/overshoot_{axis}", test, (f"overshoot_{axis}",), mean)
-        yield Metric(f"steps/stop_distance_{axis}", test, (f"stop_distance_{axis}",), mean, unit)
+            yield Metric(f"steps/{name}_{axis}", (f"{name}_s_{axis}",), mean, "s")
+            yield Metric(f"steps/{name}_share_{axis}", (f"{name}_did_{axis}",), mean, better="higher")
+        yield Metric(f"steps/overshoot_{axis}", (f"overshoot_{axis}",), mean)
+        yield Metric(f"steps/stop_distance_{axis}", (f"stop_distance_{axis}",), mean, unit)
 
 
 def _of_pushing(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, better = "push", "higher"
+    better = "higher"
     cells = dict.fromkeys(columns["cell_name"].tolist())
     for kind in dict.fromkeys(cell.rpartition(" over ")[2] for cell in cells):
         mine, pulse = partial(in_cells, end=f" over {kind}"), kind.replace(" ", "")
-        yield Metric(f"push/limit_{pulse}", test, ("limit_m_s",), median, "m/s", better, mine)
-        yield Metric(f"push/limit_worst_{pulse}", test, ("cell", "limit_m_s"), worst_median, "m/s", better, mine)
-        yield Metric(f"push/limit_normalised_{pulse}", test, ("limit_normalised",), median, "", better, mine)
+        yield Metric(f"push/limit_{pulse}", ("limit_m_s",), median, "m/s", better, mine)
+        yield Metric(f"push/limit_worst_{pulse}", ("cell", "limit_m_s"), worst_median, "m/s", better, mine)
+        yield Metric(f"push/limit_normalised_{pulse}", ("limit_normalised",), median, "", better, mine)
     for cell in cells:
         name = f"push/limit_{cell.replace(' over ', '_').replace(' ', '')}"
-        yield Metric(name, test, ("limit_m_s",), median, "m/s", better, partial(matching, cell_name=cell))
-    yield Metric("push/recovered", test, ("recovered",), mean, better=better)
-    yield Metric("push/recovery", test, ("recovery_s",), mean, "s")
-    yield Metric("push/tilt", test, ("tilt_max_rad",), mean, "rad")
+        yield Metric(name, ("limit_m_s",), median, "m/s", better, partial(matching, cell_name=cell))
+    yield Metric("push/recovered", ("recovered",), mean, better=better)
+    yield Metric("push/recovery", ("recovery_s",), mean, "s")
+    yield Metric("push/tilt", ("tilt_max_rad",), mean, "rad")
 
 
 def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test = "height"
-    yield from _survival(test, columns)
-    yield Metric("height/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
-    yield Metric("height/height_rmse_worst", test, ("height_rmse_m",), worst, "m", rows=surviving)
-    yield from _shared_metrics(test, columns, surviving)
+    yield from _survival("height", columns)
+    yield Metric("height/error_vx", ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield Metric("height/height_rmse_worst", ("height_rmse_m",), worst, "m", rows=surviving)
+    yield from _shared_metrics("height", columns, surviving)
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
-        yield Metric(
-            f"height/height_rmse/{cell.replace(' ', '_')}", test, ("height_rmse_m",), quadratic, "m", rows=rows
-        )
+        yield Metric(f"height/height_rmse/{cell.replace(' ', '_')}", ("height_rmse_m",), quadratic, "m", rows=rows)
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, better, parts = "jump", "higher", ("drove", "jumped", "recovered")
-    yield from _survival(test, columns)
-    yield Metric("jump/success", test, parts, all_of, better=better)
-    yield Metric("jump/worst_success", test, ("cell", *parts), worst_share, better=better)
+    better, parts = "higher", ("drove", "jumped", "recovered")
+    yield from _survival("jump", columns)
+    yield Metric("jump/success", parts, all_of, better=better)
+    yield Metric("jump/worst_success", ("cell", *parts), worst_mean, better=better)
     for name, unit in (("clearance_m", "m"), ("air_s", "s"), ("span_m", "m")):
-        yield Metric(f"jump/{name.rpartition('_')[0]}", test, (name,), mean, unit, better)
+        yield Metric(f"jump/{name.rpartition('_')[0]}", (name,), mean, unit, better)
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
-        yield Metric(f"jump/success/{cell}", test, parts, all_of, better=better, rows=rows)
-        yield Metric(f"jump/clearance/{cell}", test, ("clearance_m",), mean, "m", better, rows)
-        yield Metric(f"jump/span/{cell}", test, ("span_m",), mean, "m", better, rows)
-        yield Metric(f"jump/speed_error/{cell}", test, ("off_speed_m_s",), mean, "m/s", rows=rows)
-        yield Metric(f"jump/yaw_rate_error/{cell}", test, ("off_yaw_rate_rad_s",), mean, "rad/s", rows=rows)
-    yield Metric("jump/recovery", test, ("recovery_s",), mean, "s")
-    yield from _landing(test)
-    yield from _shared_metrics(test, columns, everything)
+        yield Metric(f"jump/success/{cell}", parts, all_of, better=better, rows=rows)
+        yield Metric(f"jump/clearance/{cell}", ("clearance_m",), mean, "m", better, rows)
+        yield Metric(f"jump/span/{cell}", ("span_m",), mean, "m", better, rows)
+        yield Metric(f"jump/speed_error/{cell}", ("off_speed_m_s",), mean, "m/s", rows=rows)
+        yield Metric(f"jump/yaw_rate_error/{cell}", ("off_yaw_rate_rad_s",), mean, "rad/s", rows=rows)
+    yield Metric("jump/recovery", ("recovery_s",), mean, "s")
+    yield from _landing("jump")
+    yield from _shared_metrics("jump", columns, everything)
 
 
 def _of_getting_up(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, better = "get_up", "higher"
-    yield Metric("get_up/success", test, ("recovered",), mean, better=better)
-    yield Metric("get_up/worst_success", test, ("side", "recovered"), worst_mean, better=better)
+    better = "higher"
+    yield Metric("get_up/success", ("recovered",), mean, better=better)
+    yield Metric("get_up/worst_success", ("side", "recovered"), worst_mean, better=better)
     for number, side in enumerate(SIDES):
         rows = partial(matching, side=float(number))
-        yield Metric(f"get_up/success/{side}", test, ("recovered",), mean, better=better, rows=rows)
-        yield Metric(f"get_up/time/{side}", test, ("recovery_s",), mean, "s", rows=rows)
-    yield Metric("get_up/time", test, ("recovery_s",), mean, "s")
-    yield from _landing(test)
-    yield from _shared_metrics(test, columns, everything)
+        yield Metric(f"get_up/success/{side}", ("recovered",), mean, better=better, rows=rows)
+        yield Metric(f"get_up/time/{side}", ("recovery_s",), mean, "s", rows=rows)
+    yield Metric("get_up/time", ("recovery_s",), mean, "s")
+    yield from _landing("get_up")
+    yield from _shared_metrics("get_up", columns, everything)
 
 
 def _landing(test: str) -> Iterator[Metric]:
-    yield Metric(f"{test}/tilt", test, ("tilt_max_rad",), mean, "rad")
-    yield Metric(f"{test}/impact", test, ("impact_m_s",), mean, "m/s")
-    yield Metric(f"{test}/impact_worst", test, ("impact_m_s",), worst, "m/s")
-    yield Metric(f"{test}/torque_peak_share", test, ("torque_peak_share",), worst)
+    yield Metric(f"{test}/tilt", ("tilt_max_rad",), mean, "rad")
+    yield Metric(f"{test}/impact", ("impact_m_s",), mean, "m/s")
+    yield Metric(f"{test}/impact_worst", ("impact_m_s",), worst, "m/s")
+    yield Metric(f"{test}/torque_peak_share", ("torque_peak_share",), worst)
 
 
 def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
-    test, better = "terrain", "higher"
-    yield from _survival(test, columns)
-    yield Metric("terrain/success", test, ("success",), mean, better=better)
+    better = "higher"
+    yield from _survival("terrain", columns)
+    yield Metric("terrain/success", ("success",), mean, better=better)
     hardest = int(columns["level"].max())
     for name, level in (("middle", hardest // 2), ("hardest", hardest)):
         rows = partial(matching, level=float(level))
-        yield Metric(f"terrain/worst_success_{name}", test, ("cell", "success"), worst_mean, better=better, rows=rows)
+        yield Metric(f"terrain/worst_success_{name}", ("cell", "success"), worst_mean, better=better, rows=rows)
     cells = dict.fromkeys(columns["cell_name"].tolist())
     for kind in dict.fromkeys(cell.rpartition("/")[0] for cell in cells):
         rows, passed = partial(in_cells, start=f"{kind}/"), partial(highest, share=pass_share)
-        yield Metric(f"terrain/levels_passed/{kind}", test, ("level", "success"), passed, "", better, rows)
+        yield Metric(f"terrain/levels_passed/{kind}", ("level", "success"), passed, "", better, rows)
     for cell in cells:
         rows = partial(matching, cell_name=cell)
-        yield Metric(f"terrain/success/{cell}", test, ("success",), mean, better=better, rows=rows)
-        yield Metric(f"terrain/distance_ratio/{cell}", test, ("distance_ratio",), mean, better=better, rows=rows)
-    yield Metric("terrain/error_vx", test, ("error_vx",), quadratic, "m/s", rows=surviving)
-    yield from _shared_metrics(test, columns, everything)
+        yield Metric(f"terrain/success/{cell}", ("success",), mean, better=better, rows=rows)
+        yield Metric(f"terrain/distance_ratio/{cell}", ("distance_ratio",), mean, better=better, rows=rows)
+    yield Metric("terrain/error_vx", ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield from _shared_metrics("terrain", columns, everything)
 
 
 def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, better = "strip", "higher"
-    yield from _survival(test, columns)
-    yield Metric("strip/success", test, ("success",), mean, better=better)
-    yield Metric("strip/recovered", test, ("recovered",), mean, better=better)
+    better = "higher"
+    yield from _survival("strip", columns)
+    yield Metric("strip/success", ("success",), mean, better=better)
+    yield Metric("strip/recovered", ("recovered",), mean, better=better)
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
         for name in ("success", "distance_ratio", "recovered"):
-            yield Metric(f"strip/{name}/{cell}", test, (name,), mean, better=better, rows=rows)
-        yield Metric(f"strip/recovery/{cell}", test, ("recovery_s",), mean, "s", rows=rows)
+            yield Metric(f"strip/{name}/{cell}", (name,), mean, better=better, rows=rows)
+        yield Metric(f"strip/recovery/{cell}", ("recovery_s",), mean, "s", rows=rows)
         for name, column, unit in (("error_vx", "error_vx", "m/s"), ("swing", "swing_rad", "rad")):
             for where in ("before", "on", "behind"):
-                yield Metric(f"strip/{name}_{where}/{cell}", test, (f"{column}_{where}",), quadratic, unit, rows=rows)
+                yield Metric(f"strip/{name}_{where}/{cell}", (f"{column}_{where}",), quadratic, unit, rows=rows)
 
 
 _MARGIN_UNITS = {"delay_s": "s", "reading_delay_s": "s", "imu_tilt": "rad", "gyro_bias": "rad/s"}
@@ -469,21 +464,21 @@ _MARGIN_UNITS |= {"payload": "kg", "platform": "m/s²"}
 
 
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    test, changed = "robust", partial(differing, column="sweep", value="nominal")
+    changed = partial(differing, column="sweep", value="nominal")
     sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
-    yield Metric("robust/survival", test, ("survived",), mean, "", "higher", changed)
-    yield Metric("robust/worst_survival", test, ("world", "survived"), worst_mean, "", "higher", changed)
+    yield Metric("robust/survival", ("survived",), mean, "", "higher", changed)
+    yield Metric("robust/worst_survival", ("world", "survived"), worst_mean, "", "higher", changed)
     nominal = partial(matching, sweep="nominal")
     for column in (name for name in columns if name.startswith("margin_")):
         name = column.removeprefix("margin_")
         unit = _MARGIN_UNITS.get(name, "")
-        yield Metric(f"robust/margin/{name.removesuffix('_s')}", test, (column,), mean, unit, "higher", nominal)
+        yield Metric(f"robust/margin/{name.removesuffix('_s')}", (column,), mean, unit, "higher", nominal)
     for sweep, value in sweeps:
         name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
         rows = partial(matching, sweep=sweep, value=value)
-        yield Metric(f"{name}/survival", test, ("survived",), mean, "", "higher", rows)
-        yield Metric(f"{name}/error_vx", test, ("error_vx",), quadratic, "m/s", rows=rows)
-        yield Metric(f"{name}/height_rmse", test, ("height_rmse_m",), quadratic, "m", rows=rows)
+        yield Metric(f"{name}/survival", ("survived",), mean, "", "higher", rows)
+        yield Metric(f"{name}/error_vx", ("error_vx",), quadratic, "m/s", rows=rows)
+        yield Metric(f"{name}/height_rmse", ("height_rmse_m",), quadratic, "m", rows=rows)
 
 
 _WITHOUT_OPTIONS: dict[str, Callable[[Mapping[str, Array]], Iterator[Metric]]] = {

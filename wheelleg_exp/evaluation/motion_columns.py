@@ -110,6 +110,16 @@ class Motion:
         """Return the RMS change of the motor torques from one control step to the next, N·m, (N,)."""
         return rms(self.driven_torque.diff(dim=0), self.counted[1:] & self.counted[:-1])
 
+    def fast_power_share(self) -> torch.Tensor:
+        """Return the share of the motor torques' spectral power above 10 Hz, (N,); NaN for ended episodes."""
+        torque, counted = self.driven_torque, self.counted
+        begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0
+        window = torque[begin:].double()
+        power = torch.fft.rfft(window - window.mean(dim=0), dim=0).abs().square().sum(dim=-1)
+        frequency = torch.fft.rfftfreq(len(window), self.made.dt, device=torque.device)
+        share = power[frequency > _SPEED_HZ].sum(dim=0) / power.sum(dim=0).clamp(min=1e-12)
+        return torch.where(counted[-1], share, torch.nan)
+
 
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
@@ -335,14 +345,3 @@ def resting_sides(made: Trajectories) -> Columns:
     roll, pitch = made.roll[0], made.pitch[0]
     gravity = torch.stack((pitch.sin(), -roll.sin() * pitch.cos(), -roll.cos() * pitch.cos()), dim=1)
     return {"side": resting_side(gravity)}
-
-
-def fast_share(values: torch.Tensor, counted: torch.Tensor, dt: float) -> torch.Tensor:
-    """Return the share of spectral power above 10 Hz in signals (T, N, J), (N,); NaN for episodes that ended early."""
-    whole = counted[-1]
-    begin = int(counted.any(dim=1).int().argmax()) if bool(counted.any()) else 0
-    window = values[begin:].double()
-    power = torch.fft.rfft(window - window.mean(dim=0), dim=0).abs().square().sum(dim=-1)
-    frequency = torch.fft.rfftfreq(len(window), dt, device=values.device)
-    share = power[frequency > _SPEED_HZ].sum(dim=0) / power.sum(dim=0).clamp(min=1e-12)
-    return torch.where(whole, share, torch.nan)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import torch
 
@@ -69,13 +68,13 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> 
         if scenarios.heights:
             held[:, 0] = scenarios.height_of().to(held.device)
 
-        def draw_pose(env_ids: torch.Tensor, pose: Any = pose, held: torch.Tensor = held) -> None:
+        def draw_pose(env_ids: torch.Tensor, pose: UniformBasePoseCommand = pose, held: torch.Tensor = held) -> None:
             pose.command[env_ids] = held[env_ids]
 
         setattr(pose, "draw", draw_pose)  # noqa: B010
     for jump in jumps:
 
-        def draw_jump(env_ids: torch.Tensor, jump: Any = jump) -> None:
+        def draw_jump(env_ids: torch.Tensor, jump: JumpCommand = jump) -> None:
             jump.time_left.index_fill_(0, env_ids, jump_at_s + jump.window_s)
             jump.is_jumping_env[env_ids] = jump.command_counter[env_ids] == 0
             jump.command.index_fill_(0, env_ids, 0.0)
@@ -160,13 +159,37 @@ class Rollout:
             observations, *_ = env.step(actions)
             failed, why = self._failed(numbers)
             alive = alive & ~failed
-            made.take(step, env, self.parts, self._meter, command, actions, alive, self._force)
-            made.end(step, failed, why)
+            made.alive[step], made.command[step], made.action[step] = alive, command, actions
+            self._store_motion(made, step)
+            first = failed & (made.fell_at == 0)  # Ignore later failures of the same episode.
+            made.ended_by = torch.where(first, why, made.ended_by)
+            made.fell_at = torch.where(first, step + 1, made.fell_at)
             if progress is not None:
                 progress(step + 1, self.steps)
             if not bool(alive.any()):
                 break
         return made
+
+    def _store_motion(self, made: Trajectories, step: int) -> None:
+        """Store the states of all robots after one control step."""
+        scene, parts, meter = self.env.scene, self.parts, self._meter
+        data = scene.robot.data
+        pos, gravity = data.root_pos_w, data.projected_gravity_b
+        made.pos[step] = pos - scene.env_origins
+        made.height[step] = pos[:, 2] - scene.terrain.height_at(pos[:, :2])
+        made.roll[step] = torch.atan2(-gravity[:, 1], -gravity[:, 2])
+        made.pitch[step] = torch.asin(gravity[:, 0].clamp(-1.0, 1.0))
+        made.yaw[step] = data.heading_w
+        made.vel[step], made.ang[step] = data.root_lin_vel_b, data.root_ang_vel_b
+        made.joint_pos[step], made.joint_vel[step] = data.joint_pos, data.joint_vel
+        made.torque[step], made.torque_rms[step] = data.applied_torque, meter.torque_rms()
+        made.sign_changes[step] = meter.sign_changes[:, parts.wheels]
+        forces = scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
+        axles = data.body_pos_w[:, parts.wheel_bodies]
+        made.clearance[step] = axles[..., 2] - scene.terrain.height_at(axles[..., :2]) - parts.wheel_radius
+        made.down[step] = torch.linalg.vector_norm(forces, dim=-1) > self._force
+        made.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
+        made.saturated[step] = meter.shares()
 
     def _failed(self, numbers: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the mask of the episodes that failed in the last step, and the causes as indices in ``endings``."""

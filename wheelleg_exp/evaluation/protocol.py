@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,25 +12,12 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.evaluation import motion_columns, scenarios, terrain_tests
-from wheelleg_exp.evaluation.disturbance_tests import (
-    PUSH_COLUMNS,
-    World,
-    disturbances,
-    gain_ramp,
-    margin,
-    on_ground,
-    push_columns,
-    recovery,
-    world,
-    worlds,
-)
-from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, target_height
+from wheelleg_exp.evaluation import disturbance_tests, motion_columns, protocol_options, scenarios, terrain_tests
+from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, on_ground, target_heights
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.policy_rollout import Policy, Rollout
 from wheelleg_exp.evaluation.policy_rollout import Progress as RolloutProgress
-from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.result import Evaluation, Figure
 from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import Trajectories
@@ -48,7 +35,7 @@ class Subject:
     env: EnvOptions
     mjcf: Path
     make_policy: MakePolicy
-    protocol: Protocol
+    protocol: protocol_options.Protocol
     seed: int
     progress: Progress | None = None
 
@@ -68,8 +55,10 @@ class Subject:
 
     @property
     def target(self) -> float | None:
-        """The target height of the robot's base, m."""
-        return target_height(self.env, self.protocol)
+        """The target height of the base, m: the protocol's, else that of the first reward with one, else None."""
+        heights = [node["target_height"] for node in target_heights(self.env).values()]
+        found = heights[0] if self.protocol.target_height is None and heights else self.protocol.target_height
+        return None if found is None else float(found)
 
 
 def evaluate(
@@ -87,7 +76,7 @@ def evaluate(
     is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``progress`` is
     called with the name of a test, the number of finished control steps, and the number of all steps.
     """
-    options = read_section(Protocol, protocol, "protocol")
+    options = read_section(protocol_options.Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
     subject = Subject(read_env(env_cfg), mjcf, make_policy, options, seed, progress)
     tables = _tables(options)
@@ -97,9 +86,8 @@ def evaluate(
         for metric in metrics_of(part.test, part.columns, protocol):
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
     starts, episodes = {part.test: part.starts for part in parts}, joined([part.columns for part in parts])
-    about_robot = parts[0].about if parts else {}
-    if odd := dict.fromkeys(text for part in parts for text in part.about.get("robot_differences", ())):
-        about_robot = about_robot | {"robot_differences": list(odd)}
+    odd = list(dict.fromkeys(text for part in parts for text in part.robot_differences))
+    about_robot = parts[0].about | ({"robot_differences": odd} if odd else {})
     digest = hashlib.sha256("".join(table.digest(seed) for table in tables).encode()).hexdigest()
     return Evaluation(dict(protocol), seed, digest, starts, episodes, found, about_robot)
 
@@ -109,7 +97,7 @@ def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, o
 
     Raise ConfigError if the task lacks something that a test needs, such as a command.
     """
-    options, found = read_section(Protocol, protocol, "protocol"), list[str]()
+    options, found = read_section(protocol_options.Protocol, protocol, "protocol"), list[str]()
     subject = Subject(read_env(env), mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
     for table in _tables(options):
         rollout = _placed(subject, replace(table, episodes=1))
@@ -117,14 +105,14 @@ def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, o
         made = Trajectories.empty(rollout.steps, rollout.env.num_envs, rollout.parts, width, rollout.env)
         columns = identity(rollout, made)
         if table.test == "robust" and options.robust is not None:
-            changed = list(worlds(subject.options(rollout.scenarios), options.robust))
+            changed = list(disturbance_tests.worlds(subject.options(rollout.scenarios), options.robust))
             columns |= _numbers(_world_columns(subject, rollout, made))
             columns |= dict.fromkeys(
                 ["world", *(f"margin_{name}" for name in options.robust.margins or {})], np.zeros(1)
             )
             columns |= {"sweep": np.array([w.sweep for w in changed]), "value": np.array([w.value for w in changed])}
         elif table.test == "push":
-            columns |= dict.fromkeys(PUSH_COLUMNS, np.zeros(1))
+            columns |= dict.fromkeys(disturbance_tests.PUSH_COLUMNS, np.zeros(1))
         else:
             columns |= _numbers(_columns(subject, rollout, made))
         found += [metric.name for metric in metrics_of(table.test, columns, protocol)]
@@ -138,7 +126,8 @@ class Part:
     test: str
     starts: str
     columns: dict[str, Array]
-    about: dict[str, Any]
+    about: dict[str, object]
+    robot_differences: Sequence[str]
 
 
 _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
@@ -155,7 +144,7 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
 }
 
 
-def _tables(options: Protocol) -> list[Scenarios]:
+def _tables(options: protocol_options.Protocol) -> list[Scenarios]:
     chosen = {test: getattr(options, test) for test in _SCENARIOS}
     return [_SCENARIOS[test](test_options) for test, test_options in chosen.items() if test_options is not None]
 
@@ -166,13 +155,17 @@ def _run(subject: Subject, table: Scenarios) -> Part:
     rollout = _placed(subject, table)
     policy, progress = subject.make_policy(rollout.env), subject.progress_of(table.test)
     if table.test == "push" and subject.protocol.push is not None:
-        columns, made = push_columns(rollout, policy, subject.protocol.push, subject.seed, subject.target, progress)
+        columns, made = disturbance_tests.push_columns(
+            rollout, policy, subject.protocol.push, subject.seed, subject.target, progress
+        )
         columns |= motion_columns.survival(made, [])
     else:
         ramp = subject.protocol.get_up.ramp_s if table.test == "get_up" and subject.protocol.get_up else 0.0
-        made = rollout.roll(policy, subject.seed, progress, gain_ramp(rollout, ramp) if ramp else None)
+        disturb = disturbance_tests.gain_ramp(rollout, ramp) if ramp else None
+        made = rollout.roll(policy, subject.seed, progress, disturb)
         columns = _columns(subject, rollout, made)
-    return Part(table.test, rollout.starts, identity(rollout, made) | _numbers(columns), about(rollout))
+    columns_of_all = identity(rollout, made) | _numbers(columns)
+    return Part(table.test, rollout.starts, columns_of_all, about(rollout), rollout.env.scene.sim.robot_differences())
 
 
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
@@ -197,7 +190,8 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     options = subject.protocol.robust
     assert options is not None
     env, found, starts = subject.options(table), list[dict[str, Array]](), list[str]()
-    each, progress, margins = list(worlds(env, options)), subject.progress_of(table.test), options.margins or {}
+    each, margins = list(disturbance_tests.worlds(env, options)), options.margins or {}
+    progress = subject.progress_of(table.test)
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
         columns = _world_columns(subject, rollout, made)
@@ -210,15 +204,16 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     for number, (name, highest) in enumerate(margins.items()):
 
         def survival(value: float, name: str = name) -> float:
-            _, made = _rolled(subject, table, world(env, options, name, value))
+            _, made = _rolled(subject, table, disturbance_tests.world(env, options, name, value))
             return 1.0 - float(made.fell.double().mean())
 
         # The margins are properties of the policy, so each episode of the unchanged simulation has the same value.
         step = env.sim.dt if name.endswith("_s") else 0.0  # Delays are rounded to physics steps.
-        found[0][f"margin_{name}"] = np.full(table.size, margin(survival, highest, options, step))
+        found[0][f"margin_{name}"] = np.full(table.size, disturbance_tests.margin(survival, highest, options, step))
         if progress is not None:
             progress(len(each) + number + 1, len(each) + len(margins))
-    return Part(table.test, hashlib.sha256("".join(starts).encode()).hexdigest(), joined(found), about(rollout))
+    digest = hashlib.sha256("".join(starts).encode()).hexdigest()
+    return Part(table.test, digest, joined(found), about(rollout), rollout.env.scene.sim.robot_differences())
 
 
 def _world_columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
@@ -227,39 +222,38 @@ def _world_columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Co
     return motion_columns.survival(made, []) | measured(motion, POSTURE) | motion_columns.errors(made, settle)
 
 
-def _rolled(subject: Subject, table: Scenarios, changed: World) -> tuple[Rollout, Trajectories]:
+def _rolled(subject: Subject, table: Scenarios, changed: disturbance_tests.World) -> tuple[Rollout, Trajectories]:
     rollout = subject.rollout(table, changed.env)
-    made = rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturbances(rollout, changed))
-    return rollout, made
+    disturb = disturbance_tests.disturbances(rollout, changed)
+    return rollout, rollout.roll(subject.make_policy(rollout.env), subject.seed, disturb=disturb)
 
 
 def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
-    options, settle, parts = subject.protocol, subject.protocol.settle_s, rollout.parts
-    test = rollout.scenarios.test
-    moments = options.stand.survival_s if test == "stand" and options.stand is not None else []
-    target: float | torch.Tensor | None = subject.target
-    if rollout.scenarios.heights:
-        target = rollout.scenarios.height_of().to(made.height.device)
+    settle, parts, table = subject.protocol.settle_s, rollout.parts, rollout.scenarios
+    options = getattr(subject.protocol, table.test)
+    target = table.height_of().to(made.height.device) if table.heights else subject.target
     motion = Motion(made, parts, settle, target)
+    moments = options.survival_s if isinstance(options, protocol_options.Stand) else []
     columns = motion_columns.survival(made, moments) | motion_columns.drift(made, settle)
     columns |= motion_columns.group_effort(motion) | measured(motion) | {"distance_m": motion.distance}
-    if test == "walk" and options.walk is not None:
-        columns |= motion_columns.tracking(made, settle, options.walk) | motion_columns.wheel_error(made, parts, settle)
-        columns |= motion_columns.within_band(made, columns, options.walk)
-    if test == "steps" and options.steps is not None:
-        commands = rollout.scenarios.commands()[:, 1].to(made.command.device)
-        columns |= motion_columns.responses(made, options.steps, commands)
-    if test == "height":
+    if isinstance(options, protocol_options.Walk):
+        columns |= motion_columns.tracking(made, settle, options) | motion_columns.wheel_error(made, parts, settle)
+        columns |= motion_columns.within_band(made, columns, options)
+    if isinstance(options, protocol_options.Steps):
+        columns |= motion_columns.responses(made, options, table.commands()[:, 1].to(made.command.device))
+    if isinstance(options, protocol_options.Height):
         columns |= motion_columns.errors(made, settle)
-    if (test == "jump" and options.jump is not None) or (test == "get_up" and options.get_up is not None):
-        limits: Any = options.jump if test == "jump" else options.get_up
+    if isinstance(options, (protocol_options.Jump, protocol_options.GetUp)):
         height = motion.mean(made.height) if subject.target is None else made.height.new_tensor(subject.target)
-        columns |= recovery(made, limits, height) | motion_columns.impact(motion, limits.at_s)
-        columns |= motion_columns.jump(motion, limits) if test == "jump" else motion_columns.resting_sides(made)
-    if test == "terrain" and options.terrain is not None:
-        columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options.terrain)
-    if test == "strip" and options.strip is not None:
-        columns |= terrain_tests.crossing(made, options.strip, settle)
+        columns |= disturbance_tests.recovery(made, options, height) | motion_columns.impact(motion, options.at_s)
+    if isinstance(options, protocol_options.Jump):
+        columns |= motion_columns.jump(motion, options)
+    if isinstance(options, protocol_options.GetUp):
+        columns |= motion_columns.resting_sides(made)
+    if isinstance(options, protocol_options.Terrain):
+        columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options)
+    if isinstance(options, protocol_options.Strip):
+        columns |= terrain_tests.crossing(made, options, settle)
     return columns
 
 
@@ -285,7 +279,7 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
     }
 
 
-def about(rollout: Rollout) -> dict[str, Any]:
+def about(rollout: Rollout) -> dict[str, object]:
     """Return the facts of every result: the robot's profile and drives, the time steps, and the engine."""
     env, parts = rollout.env, rollout.parts
     armature, limits = env.scene.robot.data.joint_armature[0].tolist(), parts.effort_limit[0].tolist()
@@ -302,16 +296,14 @@ def about(rollout: Rollout) -> dict[str, Any]:
         "device": str(env.device),
         "model_sha256": env.scene.model_digest(),
         **({} if promise["exact"] else {"promise": promise}),
-        **({"robot_differences": found} if (found := env.scene.sim.robot_differences()) else {}),
     }
 
 
 def joined(parts: list[dict[str, Array]]) -> dict[str, Array]:
     """Join the tables of several tests to one table; a missing number becomes NaN, and a missing text empty."""
-    names = list(dict.fromkeys(name for part in parts for name in part))
     found = {}
-    for name in names:
+    for name in dict.fromkeys(name for part in parts for name in part):
         texts = any(part[name].dtype.kind in "US" for part in parts if name in part)
-        blank: Any = "" if texts else np.nan
+        blank: str | float = "" if texts else np.nan
         found[name] = np.concatenate([part.get(name, np.full(len(part["test"]), blank)) for part in parts])
     return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 FORMAT = 1
 
 
-def plain(value: object) -> Any:
+def plain(value: object) -> object:
     """Return a copy of a nested mapping or list for JSON, in which None replaces NaN and inf."""
     if isinstance(value, Mapping):
         return {key: plain(inner) for key, inner in value.items()}
@@ -37,7 +37,7 @@ class Figure:
 
     def as_dict(self) -> dict[str, object]:
         """Return the metric as a dictionary for JSON, in which None replaces NaN and inf."""
-        return {key: plain(value) for key, value in asdict(self).items()}
+        return {key: plain(value) for key, value in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Evaluation:
     seed: int
     scenarios_sha256: str
     starts_sha256: Mapping[str, str]
-    episodes: Mapping[str, np.ndarray[Any, Any]]
+    episodes: Mapping[str, np.ndarray]
     metrics: Mapping[str, Figure]
     about: Mapping[str, Any] = field(default_factory=dict)
 

@@ -9,18 +9,7 @@ from itertools import product
 
 import torch
 
-from wheelleg_exp.evaluation.protocol_options import (
-    GetUp,
-    Height,
-    Jump,
-    Push,
-    Robust,
-    Stand,
-    Steps,
-    Strip,
-    Terrain,
-    Walk,
-)
+from wheelleg_exp.evaluation import protocol_options
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -69,12 +58,12 @@ class Scenarios:
         return hashlib.sha256(json.dumps(table).encode()).hexdigest()
 
 
-def standing(options: Stand) -> Scenarios:
+def standing(options: protocol_options.Stand) -> Scenarios:
     """Return a table of standing episodes, which have a zero command."""
     return Scenarios("stand", float(options.horizon_s), (0.0,), ((ZERO,),), ("stand",), options.episodes)
 
 
-def walking(options: Walk) -> Scenarios:
+def walking(options: protocol_options.Walk) -> Scenarios:
     """Return a table of episodes over the grid of velocity commands, sorted by forward speed."""
     pairs = [(float(x), float(z)) for x, z in product(options.lin_vel_x, options.ang_vel_z)]
     cells = tuple(((x, 0.0, z),) for x, z in pairs)
@@ -82,7 +71,7 @@ def walking(options: Walk) -> Scenarios:
     return Scenarios("walk", float(options.horizon_s), (0.0,), cells, names, options.episodes)
 
 
-def stepping(options: Steps) -> Scenarios:
+def stepping(options: protocol_options.Steps) -> Scenarios:
     """Return a table of episodes with the command sequence 0, c, -c, 0, for each forward speed and each yaw rate c."""
     forward = [(float(x), 0.0, 0.0) for x in options.lin_vel_x]
     turning = [(0.0, 0.0, float(z)) for z in options.ang_vel_z]
@@ -93,7 +82,7 @@ def stepping(options: Steps) -> Scenarios:
     return Scenarios("steps", begin + 3 * drive, times, cells, names, options.episodes)
 
 
-def at_heights(options: Height) -> Scenarios:
+def at_heights(options: protocol_options.Height) -> Scenarios:
     """Return a table of episodes over the grid of commanded heights and forward speeds."""
     pairs = [(float(h), float(x)) for h, x in product(options.heights, options.lin_vel_x)]
     cells, names = tuple(((x, 0.0, 0.0),) for _, x in pairs), tuple(f"h={h:g} vx={x:g}" for h, x in pairs)
@@ -101,13 +90,13 @@ def at_heights(options: Height) -> Scenarios:
     return Scenarios("height", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings, heights)
 
 
-def getting_up(options: GetUp) -> Scenarios:
+def getting_up(options: protocol_options.GetUp) -> Scenarios:
     """Return a table of episodes that start in resting poses and have a zero command."""
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
     return Scenarios("get_up", horizon, (0.0,), ((ZERO,),), ("lying",), options.episodes, settings)
 
 
-def jumping(options: Jump) -> Scenarios:
+def jumping(options: protocol_options.Jump) -> Scenarios:
     """Return a table of episodes with one jump, one group (cell) for each forward speed."""
     cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
     names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
@@ -115,7 +104,7 @@ def jumping(options: Jump) -> Scenarios:
     return Scenarios("jump", horizon, (0.0,), cells, names, options.episodes, settings)
 
 
-def pushing(options: Push) -> Scenarios:
+def pushing(options: protocol_options.Push) -> Scenarios:
     """Return a table of standing episodes with pushes, one group (cell) for each push direction and duration."""
     turns = [f"{360.0 * turn / options.directions:g}°" for turn in range(options.directions)]
     names = tuple(f"{turn} over {pulse:g} s" for pulse in options.pulses_s for turn in turns)
@@ -123,7 +112,7 @@ def pushing(options: Push) -> Scenarios:
     return Scenarios("push", horizon, (0.0,), ((ZERO,),) * len(names), names, options.episodes, settings)
 
 
-def on_terrain(options: Terrain) -> Scenarios:
+def on_terrain(options: protocol_options.Terrain) -> Scenarios:
     """Return a table of episodes that drive straight, one group (cell) for each kind and level of terrain tile."""
     kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
     names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
@@ -133,7 +122,7 @@ def on_terrain(options: Terrain) -> Scenarios:
     return Scenarios("terrain", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 
-def over_strips(options: Strip) -> Scenarios:
+def over_strips(options: protocol_options.Strip) -> Scenarios:
     """Return a table of episodes that drive straight over a strip of rough ground, one group (cell) for each strip."""
     names = tuple(f"{1000.0 * amplitude:g}mm" for amplitude in options.amplitudes)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
@@ -141,7 +130,7 @@ def over_strips(options: Strip) -> Scenarios:
     return Scenarios("strip", float(options.horizon_s), (0.0,), cells, names, options.episodes, settings)
 
 
-def in_changed_world(options: Robust) -> Scenarios:
+def in_changed_world(options: protocol_options.Robust) -> Scenarios:
     """Return the episodes of one changed world: driving straight at each speed."""
     cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
     names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)

@@ -8,11 +8,11 @@ the motion of each robot before, on, and behind the rough ground.
 from __future__ import annotations
 
 import copy
-from typing import NamedTuple
 
 import torch
 
 from wheelleg_exp.constraints import Node
+from wheelleg_exp.evaluation.evaluation_env import FRICTION
 from wheelleg_exp.evaluation.motion_columns import Columns
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
@@ -68,16 +68,12 @@ def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
 
 
 def _success(made: Trajectories, options: Terrain | Strip) -> Columns:
-    ratio = along_heading(made) / (options.lin_vel_x * options.horizon_s)
-    return {"distance_ratio": ratio, "success": (~made.fell & (ratio >= options.distance_share)).double()}
-
-
-def along_heading(made: Trajectories) -> torch.Tensor:
-    """Return how far each robot drives along its first heading until its episode ends, m, (N,)."""
     last = (made.alive.sum(dim=0) - 1).clamp(min=0)
     way = (made.pos[last, torch.arange(made.pos.shape[1], device=last.device), :2] - made.pos[0, :, :2]).double()
     heading = made.yaw[0].double()
-    return way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
+    driven = way[:, 0] * heading.cos() + way[:, 1] * heading.sin()
+    ratio = driven / (options.lin_vel_x * options.horizon_s)
+    return {"distance_ratio": ratio, "success": (~made.fell & (ratio >= options.distance_share)).double()}
 
 
 _STRIP_ROOM = 1.0  # level ground, m
@@ -94,7 +90,7 @@ def strip_ground(options: Strip, terrain: Node, seed: int) -> Node:
     way = options.lin_vel_x * options.horizon_s
     return {
         "_target_": "wheelleg_exp.sim.terrain.TerrainGenerator",
-        **{name: terrain[name] for name in ("static_friction", "dynamic_friction", "restitution")},
+        **{name: terrain[name] for name in FRICTION},
         "size": [options.length + 2 * rim, options.width],
         "num_rows": 1,
         "num_cols": len(options.amplitudes),
@@ -121,27 +117,20 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
     terrain.env_origins.copy_(begin)
 
 
-class Phases(NamedTuple):
-    """Masks (T, N) of T control steps in which N robots are before, on, and behind a strip of rough ground.
+def phases(made: Trajectories, options: Strip, settle_s: float) -> dict[str, torch.Tensor]:
+    """Return masks (T, N) of the control steps in which each robot is ``before``, ``on``, and ``behind`` rough ground.
 
     If a robot rolls back, its control steps still count as on or behind the rough ground. The mask ``before`` selects
     the last ``quiet_s`` seconds before a robot reaches the rough ground.
     """
-
-    before: torch.Tensor
-    on: torch.Tensor
-    behind: torch.Tensor
-
-
-def phases(made: Trajectories, options: Strip, settle_s: float) -> Phases:
-    """Return masks of the control steps in which each robot's root link is before, on, and behind rough ground."""
     x, alive = made.pos[..., 0], made.alive
     come = (alive & (x >= options.before)).cummax(dim=0).values
     gone = (alive & (x > options.before + options.length)).cummax(dim=0).values
     steps = torch.arange(made.steps, device=x.device).unsqueeze(1)
     entry = torch.where(come.any(dim=0), come.int().argmax(dim=0), 0)
     last = steps >= entry - round(options.quiet_s / made.dt)
-    return Phases(made.counted(settle_s) & ~come & last & come.any(dim=0), alive & come & ~gone, alive & gone)
+    before = made.counted(settle_s) & ~come & last & come.any(dim=0)
+    return {"before": before, "on": alive & come & ~gone, "behind": alive & gone}
 
 
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
@@ -158,19 +147,19 @@ def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     found = phases(made, options, settle_s)
     columns = _success(made, options)
     pitch = made.pitch.double()
-    swing = pitch - mean(pitch, found.before)
+    swing = pitch - mean(pitch, found["before"])
     error = made.vel[..., 0] - made.command[..., 0]
-    for name, counted in found._asdict().items():
+    for name, counted in found.items():
         columns[f"error_vx_{name}"] = rms(error, counted)
         columns[f"swing_rad_{name}"] = rms(swing, counted)
-    limit = (options.quiet_factor * rms(swing, found.before)).clamp(min=options.quiet_floor)
+    limit = (options.quiet_factor * rms(swing, found["before"])).clamp(min=options.quiet_floor)
     window = max(1, round(options.recovered_s / made.dt))
     # The difference of two cumulative sums of squares is the sum of squares over one sliding window.
     sums = torch.cat((torch.zeros_like(swing[:1]), swing.square().cumsum(dim=0)))
     coming = torch.full_like(swing, torch.nan)
     coming[: made.steps - window + 1] = ((sums[window:] - sums[:-window]) / window).clamp(min=0.0).sqrt()
-    known = found.behind & ~coming.isnan()
+    known = found["behind"] & ~coming.isnan()
     time = last_exit(coming > limit, known, made.dt)
-    long_enough = found.behind.sum(dim=0) >= round((options.within_s + options.recovered_s) / made.dt)
+    long_enough = found["behind"].sum(dim=0) >= round((options.within_s + options.recovered_s) / made.dt)
     time = torch.where(made.fell | limit.isnan() | ~long_enough, torch.nan, time)
     return columns | {"recovery_s": time, "recovered": (time <= options.within_s).double()}

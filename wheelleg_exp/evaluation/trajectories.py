@@ -160,43 +160,6 @@ class Trajectories:
             ended_by=row(-1),
         )
 
-    def take(
-        self,
-        step: int,
-        env: ManagerBasedRLEnv,
-        parts: RobotParts,
-        meter: EffortMeter,
-        command: torch.Tensor,
-        action: torch.Tensor,
-        alive: torch.Tensor,
-        force: float,
-    ) -> None:
-        """Store the states of all robots after one control step."""
-        data = env.scene.robot.data
-        pos, gravity = data.root_pos_w, data.projected_gravity_b
-        self.alive[step], self.command[step], self.action[step] = alive, command, action
-        self.pos[step] = pos - env.scene.env_origins
-        self.height[step] = pos[:, 2] - env.scene.terrain.height_at(pos[:, :2])
-        self.roll[step] = torch.atan2(-gravity[:, 1], -gravity[:, 2])
-        self.pitch[step] = torch.asin(gravity[:, 0].clamp(-1.0, 1.0))
-        self.yaw[step] = data.heading_w
-        self.vel[step], self.ang[step] = data.root_lin_vel_b, data.root_ang_vel_b
-        self.joint_pos[step], self.joint_vel[step] = data.joint_pos, data.joint_vel
-        self.torque[step], self.torque_rms[step] = data.applied_torque, meter.torque_rms()
-        self.sign_changes[step] = meter.sign_changes[:, parts.wheels]
-        forces = env.scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
-        axles = data.body_pos_w[:, parts.wheel_bodies]
-        self.clearance[step] = axles[..., 2] - env.scene.terrain.height_at(axles[..., :2]) - parts.wheel_radius
-        self.down[step] = torch.linalg.vector_norm(forces, dim=-1) > force
-        self.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
-        self.saturated[step] = meter.shares()
-
-    def end(self, step: int, failed: torch.Tensor, why: torch.Tensor) -> None:
-        """Store which episodes failed in a control step, and why; ignore later failures of the same episode."""
-        first = failed & (self.fell_at == 0)
-        self.ended_by = torch.where(first, why, self.ended_by)
-        self.fell_at = torch.where(first, step + 1, self.fell_at)
-
     @property
     def steps(self) -> int:
         """Number of control steps, T."""
