@@ -313,19 +313,20 @@ def test_a_bound_counts_the_frames_that_there_are(env, directory):
 
 def test_a_bound_too_small_for_a_sample_is_rejected_at_the_start(env, directory, bound):
     made = TrainingRecording(directory, env, options(max_mb=0.1), {})
-    assert "recording.max_mb=0.1 leaves no room for a sample, which has up to 68 steps" in str(made.note)
-    enough = float(re.search(r"([\d.]+) are enough for one", str(made.note))[1])
+    (note,) = made.notes
+    assert "recording.max_mb=0.1 leaves no room for a sample, which has up to 68 steps" in note
+    enough = float(re.search(r"([\d.]+) are enough for one", note)[1])
     assert bound <= enough < bound + 0.11
     said: list[str] = []
     made.warn(said.append)
-    assert said == [f"warning: {made.note}"]
+    assert said == [f"warning: {note}"]
     with made:
         pass
     (event,) = Recording(directory.recording).events("recording")
-    assert event.text == made.note
+    assert event.text == note
     directory.recording.unlink()
     with TrainingRecording(directory, env, options(max_mb=bound), {}) as made:
-        assert made.note is None
+        assert not made.notes
 
 
 def test_the_bound_is_the_same_for_a_split_training(env, directory, tmp_path, bound):

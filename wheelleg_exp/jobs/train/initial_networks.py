@@ -55,15 +55,29 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     found = Fit([], [], [], {})
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
-        _compare_networks(found, old_agent.get(role), agent.get(role), f"agent.{role}", of)
+        for change in changes(old_agent.get(role) or {}, agent.get(role) or {}, same):
+            if change.keys != (
+                "distribution_cfg",
+                "init_std",
+            ):  # The checkpoint's learned action std replaces init_std.
+                _refuse(found, f"agent.{role}.{'.'.join(change.keys)}", _both_values(change, of))
         groups = [list((part.get("obs_groups") or {}).get(role) or []) for part in (old_agent, agent)]
         if groups[0] != groups[1]:
             _refuse(found, f"agent.obs_groups.{role}", f"{of} has {groups[0]} and this has {groups[1]}")
         for name in (name for name in groups[1] if name in groups[0]):
-            pair = [(part.get("observations") or {}).get(name) or {} for part in (old_env, env)]
-            further = _further(*pair) if name == groups[1][-1] else []
-            found.further[role] = further
-            _compare_group(found, pair[0], pair[1], f"env.observations.{name}", of, further)
+            was_group, group = ((part.get("observations") or {}).get(name) or {} for part in (old_env, env))
+            for key in _LAYOUT_KEYS:
+                if was_group.get(key) != group.get(key):
+                    message = f"{of} has {was_group.get(key)} and this {group.get(key)}"
+                    _refuse(found, f"env.observations.{name}.{key}", message)
+            old, new = was_group.get("terms") or {}, group.get("terms") or {}
+            # The inputs of new terms after all old terms of the last group are the last inputs of the network.
+            is_last = name == groups[1][-1] and group.get("history_order") != "time"
+            further = list(new)[len(old) :] if is_last and list(new)[: len(old)] == list(old) else []
+            found.further[role], path = further, f"env.observations.{name}.terms"
+            found.notes.extend(f"{path}.{term} was absent and is new (its weights start at 0)" for term in further)
+            known = {term: node for term, node in new.items() if term not in further}
+            _compare_terms(found, old, known, path, of, _TERM_KEYS, _IGNORED_KEYS)
     pair = [part.get("actions") or {} for part in (old_env, env)]
     _compare_terms(found, pair[0], pair[1], "env.actions", of, ("_target_",), ())
     profiles = [(part.get("robot") or {}).get("profile") for part in (old_env, env)]
@@ -76,28 +90,6 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
         found.notes.append(_describe_change("env.decimation", old_env.get("decimation"), env.get("decimation")))
     mistakes = {(error.key, error.message): error for error in found.mistakes}
     return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)), found.further)
-
-
-def _compare_networks(found: Fit, was: object, now: object, key: str, of: str) -> None:
-    for change in changes(was or {}, now or {}, same):
-        if change.keys != ("distribution_cfg", "init_std"):  # The checkpoint's learned action std replaces init_std.
-            _refuse(found, f"{key}.{'.'.join(change.keys)}", _both_values(change, of))
-
-
-def _further(was: Tree, now: Tree) -> list[str]:
-    """Return the terms of an observation group that are new and after all old terms, as their inputs are then."""
-    old, new = list(was.get("terms") or {}), list(now.get("terms") or {})
-    return new[len(old) :] if new[: len(old)] == old and now.get("history_order") != "time" else []
-
-
-def _compare_group(found: Fit, was: Tree, now: Tree, key: str, of: str, further: Sequence[str]) -> None:
-    for name in _LAYOUT_KEYS:
-        if was.get(name) != now.get(name):
-            _refuse(found, f"{key}.{name}", f"{of} has {was.get(name)} and this {now.get(name)}")
-    old, new = was.get("terms") or {}, now.get("terms") or {}
-    found.notes.extend(f"{key}.terms.{name} was absent and is new (its weights start at 0)" for name in further)
-    known = {name: node for name, node in new.items() if name not in further}
-    _compare_terms(found, old, known, f"{key}.terms", of, _TERM_KEYS, _IGNORED_KEYS)
 
 
 def _compare_terms(
@@ -159,7 +151,7 @@ class _Source:
 
 
 @contextmanager
-def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, Any]]]:
+def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, str]]]:
     """Yield the initial networks' file as ``{INITIAL: path}``, and the id and task of the run that trained them.
 
     The file of the initial networks does not name the run that trained them, so that equal networks have equal files.
@@ -274,9 +266,3 @@ def find_teacher(config: Tree) -> dict[str, Path]:
             path = RunDirectory.open(named, config["run"]["root"]).latest_checkpoint()
         checkpoint.load(path)
     return {TEACHER: path}
-
-
-def saved_teacher(asset: CachedConversion) -> dict[str, object] | None:
-    """Load the teacher's checkpoint that the run directory contains; return None if the training has no teacher."""
-    path = asset.output.parent / TEACHER
-    return checkpoint.load(path) if path.is_file() else None

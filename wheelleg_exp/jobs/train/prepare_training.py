@@ -17,6 +17,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +27,23 @@ from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import sync_folder
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.saved_robot import save_robot
 from wheelleg_exp.jobs.torch_threads import dependent_products, set_threads, thread_notes
-from wheelleg_exp.jobs.train.initial_networks import find_teacher, initial_file, saved_initial, saved_teacher
-from wheelleg_exp.jobs.train.scalar_logs import require_wandb
+from wheelleg_exp.jobs.train.initial_networks import find_teacher, initial_file, saved_initial
 from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests, source_roots
 from wheelleg_exp.jobs.train.training_recording import require_graphics
+from wheelleg_exp.paths import TEACHER
+from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.determinism import no_global_draws
 from wheelleg_exp.rl.options import DistillationAgent, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+from wheelleg_exp.run.iteration_log import LogLine
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_lock import RunLock
@@ -76,7 +80,7 @@ class Training:
     directory: RunDirectory
     manifest: Manifest
     lock: RunLock  # acquired in a resume
-    earlier: Sequence[Mapping[str, Any]] = ()  # the log lines of the iterations that finished before the resume
+    earlier: Sequence[LogLine] = ()  # the log lines of the iterations that finished before the resume
     recomputed: Callable[[int, Mapping[str, str]], None] = lambda _iteration, _digests: None
 
 
@@ -115,13 +119,16 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     agent, seed = ranks.agent(experiment.agent), experiment.seed
     if recipe.matmul is not None and agent.matmul == "auto":
         agent = replace(agent, matmul=recipe.matmul)
-    require_wandb(agent.logger)
+    if agent.logger == "wandb" and find_spec("wandb") is None:
+        message, expected = "the package wandb is not installed", "pip install wheelleg_exp[wandb], or tensorboard"
+        raise ConfigError(message, key="agent.logger", expected=expected)
     with no_global_draws():
         env = ManagerBasedRLEnv(ranks.env(experiment.env), recipe.asset.output, ranks.seed(seed))
     require_graphics(env, experiment.recording)
     samples = env.num_envs * agent.num_steps_per_env
     threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
-    teacher = saved_teacher(recipe.asset) if isinstance(agent, DistillationAgent) else None
+    path = recipe.asset.output.parent / TEACHER
+    teacher = checkpoint.load(path) if isinstance(agent, DistillationAgent) and path.is_file() else None
     initial = saved_initial(experiment.init_from, recipe.asset)
     trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)

@@ -73,7 +73,7 @@ def change_settings(recorded: Mapping[str, object], overrides: Sequence[str]) ->
     """Apply the overrides of a resume; return the new config and its changes, or raise ConfigError for a fixed key."""
     tree = apply_overrides(recorded, overrides)
     require_resolved({part: tree.get(part) for part in PARTS})
-    found = list(changes(recorded, tree, _same_value))
+    found = list(changes(recorded, tree, lambda was, now: type(was) is type(now) and bool(was == now)))
     with placing(overrides):
         for change in found:
             _require_changeable(change, recorded, tree)
@@ -81,10 +81,6 @@ def change_settings(recorded: Mapping[str, object], overrides: Sequence[str]) ->
         if errors:
             raise_all(errors)
     return tree, found
-
-
-def _same_value(was: object, now: object) -> bool:
-    return type(was) is type(now) and bool(was == now)
 
 
 def change_entry(change: Change) -> dict[str, object]:
@@ -103,14 +99,12 @@ def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mappi
         raise _refusal(change, "the networks were trained with this observation")
     section = change.keys[1] if change.keys[0] == "env" and len(change.keys) > 1 else ""
     if section in RESERVED and section != "observations":
-        _require_same_terms(change, recorded["env"][section], tree["env"].get(section))
-
-
-def _require_same_terms(change: Change, recorded: Mapping[str, object], now: object) -> None:
-    if not isinstance(now, Mapping) or list(now) != list(recorded):
-        raise _refusal(change, "the saved state has a place for each term of the run; a weight of 0 turns a reward off")
-    if change.keys[3:] in ((), ("_target_",), ("mode",)):
-        raise _refusal(change, "the saved state is that of the run's own terms")
+        now = tree["env"].get(section)
+        if not isinstance(now, Mapping) or list(now) != list(recorded["env"][section]):
+            why = "the saved state has a place for each term of the run; a weight of 0 turns a reward off"
+            raise _refusal(change, why)
+        if change.keys[3:] in ((), ("_target_",), ("mode",)):
+            raise _refusal(change, "the saved state is that of the run's own terms")
 
 
 def _refusal(change: Change, why: str) -> ConfigError:
@@ -128,11 +122,13 @@ def rewritten_files(
     config = load_config(run)
     for change in found:
         _apply(config, change, tree)
+    # The overrides of a resume replace overrides of the run with the same keys.
+    words = {_key(word): word for word in (*recorded_overrides(run), *overrides)}
     return {
         "params/env.yaml": dump_yaml(tree["env"]),
         "params/agent.yaml": dump_yaml(tree["agent"]),
         CONFIG: OmegaConf.to_yaml(OmegaConf.create(config)),
-        OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(_joined(recorded_overrides(run), overrides))),
+        OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(list(words.values()))),
     }
 
 
@@ -150,11 +146,6 @@ def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> N
         node.pop(change.keys[-1], None)
     else:
         node[change.keys[-1]] = change.b
-
-
-def _joined(words: Sequence[str], overrides: Sequence[str]) -> list[str]:
-    """Join the overrides of a run and of its resume; the resume's override replaces one with the same key."""
-    return list({**{_key(word): word for word in words}, **{_key(word): word for word in overrides}}.values())
 
 
 def _key(word: str) -> str:

@@ -17,7 +17,7 @@ from wheelleg_exp.jobs.train.scalar_logs import cut_events
 from wheelleg_exp.jobs.train.training_recording import films_from
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.iteration_log import IterationLog, Line, comparable_digests, read_log
+from wheelleg_exp.run.iteration_log import IterationLog, Line, LogLine, comparable_digests, read_log
 from wheelleg_exp.run.manifest import SNAPSHOT, Manifest
 from wheelleg_exp.run.run_directory import CHECKPOINT, FAILURE, RunDirectory, checkpoint_iteration
 from wheelleg_exp.run.run_list import effective_status
@@ -37,7 +37,7 @@ class ResumePoint:
     damaged: Mapping[Path, str]  # maps each damaged checkpoint after ``iteration`` to a text about the damage
 
     @property
-    def earlier_lines(self) -> list[Mapping[str, object]]:
+    def earlier_lines(self) -> list[LogLine]:
         """The lines in the run's iteration log up to the checkpoint."""
         return [line.content for line in self.lines[: self.iteration]]
 
@@ -74,7 +74,9 @@ def find_point(run: RunDirectory) -> ResumePoint:
                 expected=f"a line for each iteration up to {point.iteration - 1}; or no checkpoint from "
                 f"model_{len(point.lines)}.pt on, to resume from an earlier one",
             )
-        wrong = _wrong_digests(point)
+        logged = comparable_digests(lines[point.iteration - 1], digests.format_of(state))
+        stored = digests.of_state(state) if logged else {}
+        wrong = [name for name, digest in logged.items() if stored.get(name, digest) != digest]
         if not wrong:
             return point
         verb = "differ" if len(wrong) > 1 or wrong[0].endswith("s") else "differs"
@@ -89,24 +91,12 @@ def find_point(run: RunDirectory) -> ResumePoint:
 
 def lasting_damage(run: RunDirectory, manifest: Manifest, point: ResumePoint) -> list[str]:
     """Return texts about damaged files of a run that a resume will not replace."""
-    subject = Subject(run, manifest, effective_status(manifest), IterationLog())
-    return [f"{name} {what}" for name, what in damage(subject).items() if _lasts(name, point.iteration)]
-
-
-def _lasts(name: str, start: int) -> bool:
-    """Return whether a resume at iteration ``start`` keeps at least a part of the file ``name``."""
-    checkpoint = CHECKPOINT.fullmatch(name)
-    if checkpoint is not None:
-        return int(checkpoint[1]) < start
-    return name == MANIFEST_NAME or name.startswith(SNAPSHOT) or (start > 0 and name in _CONTINUED_FILES)
-
-
-def _wrong_digests(point: ResumePoint) -> list[str]:
-    if point.state is None:
-        return []
-    logged = comparable_digests(point.lines[point.iteration - 1], digests.format_of(point.state))
-    found = digests.of_state(point.state) if logged else {}
-    return [name for name, digest in logged.items() if found.get(name, digest) != digest]
+    found = []
+    for name, what in damage(Subject(run, manifest, effective_status(manifest), IterationLog())).items():
+        saved, is_continued = CHECKPOINT.fullmatch(name), point.iteration > 0 and name in _CONTINUED_FILES
+        lasts = int(saved[1]) < point.iteration if saved else name == MANIFEST_NAME or name.startswith(SNAPSHOT)
+        found += [f"{name} {what}"] if lasts or is_continued else []
+    return found
 
 
 _DAMAGED = ".damaged"

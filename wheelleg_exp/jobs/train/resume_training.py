@@ -16,7 +16,7 @@ from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import read_text, sha256
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.saved_robot import load_saved_robot, saved_model_digest
+from wheelleg_exp.jobs.saved_robot import load_saved_robot
 from wheelleg_exp.jobs.torch_threads import thread_notes
 from wheelleg_exp.jobs.train.prepare_training import Recipe, Training, build_trainer
 from wheelleg_exp.jobs.train.resume_overrides import change_entry, change_settings, recorded_tree, rewritten_files
@@ -29,7 +29,7 @@ from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import ALONE, Ranks, state_of_rank
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_config import CONFIG
+from wheelleg_exp.run.run_config import CONFIG, recorded_robot
 from wheelleg_exp.run.run_directory import NEEDED, RunDirectory
 from wheelleg_exp.run.run_lock import ProcessId, RunLock, is_alive, this_process
 from wheelleg_exp.run.start_run import complete_snapshot
@@ -265,7 +265,7 @@ def _naming_unused_folders(folders: Mapping[str, str]) -> Iterator[None]:
 def _load(run: RunDirectory, trainer: Trainer, point: ResumePoint, changes: Sequence[Change]) -> list[str]:
     """Load the run's checkpoint; return the reasons why the resumed run may differ from an uninterrupted run."""
     deciding = [change_entry(change) for change in changes if decides(change.keys)]
-    if trainer.env.env.scene.model_digest() != saved_model_digest(run):
+    if trainer.env.env.scene.model_digest() != recorded_robot(run).model_sha256:
         message = "the robot compiles to another model than the run's, which does not fit its state"
         expected = "the MuJoCo version that the run was made with (environment.txt)"
         raise RunDirectoryError(message, key=str(run.asset), expected=expected)

@@ -6,19 +6,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import for_people, while_running, write_bytes, write_text
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.train.prepare_training import Training
-from wheelleg_exp.jobs.train.scalar_logs import WandbLog
 from wheelleg_exp.jobs.train.training_outputs import Outputs, checkpoint_due, save_failure, summary
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.rollout_log import logged
 from wheelleg_exp.rl.trainer import Iteration, Trainer
-from wheelleg_exp.run.iteration_log import seconds_of
+from wheelleg_exp.run.iteration_log import LogLine, seconds_of
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as, in_words
@@ -61,8 +59,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, ob
     ending = ending_as(SimulationFailure)
     with training.lock, training.manifest.finishing() as results, ending, _outputs(training, display) as outputs:
         results |= (before := _earlier_results(training.earlier))
-        if outputs.recording is not None and outputs.recording.note:
-            display.note(f"warning: {outputs.recording.note}")
+        if outputs.recording is not None:
+            outputs.recording.warn(display.note)
         if outputs.wandb is not None:
             display.note(f"scalars and config go to {outputs.wandb.place}")
         stop.check(trainer.ranks.any(stop.requested))
@@ -97,10 +95,11 @@ def record_untrained(training: Training, display: Display) -> None:
         export_policy(training.directory, trainer, agent)
 
 
-def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -> Iterator[Iteration]:
+def _iterations(training: Training, outputs: Outputs, results: dict[str, object]) -> Iterator[Iteration]:
     """Yield the training iterations, and count the episodes that ended because of a NaN or inf."""
     # If an iteration fails, save the failed state and the checkpoint of the last finished iteration.
-    trainer, failed = training.trainer, Counter[str](results.get("non_finite"))
+    trainer, before = training.trainer, results.get("non_finite")
+    failed = Counter[str](before if isinstance(before, dict) else {})
     try:
         for iteration in trainer.learn(until=training.recipe.experiment.agent.max_iterations):
             failed.update(logged(iteration.scalars))
@@ -111,28 +110,20 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, Any]) -
         if error.evidence:
             name = outputs.last_checkpoint()
             results |= {} if name is None else {"checkpoint": name}
-            save_failure(training.directory, training.manifest, error, trainer.iteration, trainer.env.env)
+            save_failure(training, error)
         raise
 
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the run's output files; on exit, record how episodes ended, and warn about unfinished files."""
-    recipe, directory, trainer = training.recipe, training.directory, training.trainer
-    documents = {"config": f"```yaml\n{recipe.hydra_files['config.yaml']}\n```"}
-    logger = recipe.experiment.agent.logger
-    wandb = WandbLog(directory, recipe.config) if logger == "wandb" else None
-    options = recipe.experiment.recording
-    outputs = Outputs(directory, trainer, options, documents, events=logger is not None, wandb=wandb)
-    with _recording_end(training, outputs, display), outputs:
-        yield outputs
+    """Open the run's output files; on exit, record how the training ended, and warn about unfinished files.
 
-
-@contextmanager
-def _recording_end(training: Training, outputs: Outputs, display: Display) -> Iterator[None]:
-    """Record how the training ended; if the ``with`` block and the recording fail, raise the error of the block."""
+    If the ``with`` block and the recording fail, the error of the block is raised.
+    """
+    outputs = Outputs(training)
     try:
-        yield
+        with outputs:
+            yield outputs
     except BaseException as error:
         try:
             _record_end(training, outputs, display)
@@ -158,13 +149,14 @@ def _record_end(training: Training, outputs: Outputs, display: Display) -> None:
         training.manifest.record(recording_unfinished=unfinished)
 
 
-def _earlier_results(earlier: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _earlier_results(earlier: Sequence[LogLine]) -> dict[str, object]:
     """Return the results of the iterations before the resume, such as their number and the last scalars."""
     if not earlier:
         return {}
     done = len(earlier)
     facts = {"checkpoint": f"model_{done - 1}.pt", "iterations": done, "seconds": seconds_of(earlier)}
-    failed = sum((Counter(logged(line["scalars"])) for line in earlier), Counter[str]())
+    scalars = ({key: float(str(value)) for key, value in line["scalars"].items()} for line in earlier)
+    failed = sum(map(Counter, map(logged, scalars)), Counter[str]())
     return facts | summary(earlier[-1]["scalars"]) | ({"non_finite": dict(failed)} if failed else {})
 
 

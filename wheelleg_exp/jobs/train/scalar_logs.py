@@ -14,17 +14,16 @@ import struct
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from google.protobuf.message import DecodeError
 from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.tensorflow_stub.pywrap_tensorflow import masked_crc32c
 from torch.utils.tensorboard import SummaryWriter
 
-from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import cut, for_people, read_bytes
+from wheelleg_exp.run.iteration_log import LogLine
 from wheelleg_exp.run.run_directory import RunDirectory
 
 EVENT_FILES = "events.out.tfevents.*"
@@ -45,17 +44,16 @@ def open_events(folder: Path) -> SummaryWriter:
     return SummaryWriter(log_dir=str(folder))
 
 
-def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+def cut_events(folder: Path, lines: Sequence[LogLine]) -> None:
     """From TensorBoard's event files, remove each scalar that the run's iteration log ``lines`` does not contain."""
     # If scalars are missing in the event files, write all scalars of the run's log into a new file.
     found: dict[int, set[str]] = defaultdict(set)
     for path in event_files(folder):
         # Cut each event file at its first scalar after the last logged iteration.
-        steps = len(lines)
         end, kept = 0, 0
         for event, stop in _events(path):
             tags = [value.tag for value in event.summary.value]
-            if tags and not 0 <= event.step < steps:
+            if tags and not 0 <= event.step < len(lines):
                 break
             if tags:
                 found[event.step].update(tags)
@@ -73,7 +71,7 @@ def cut_events(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
         with for_people(folder), open_events(folder) as writer:
             for line in lines:
                 for key, value in line["scalars"].items():
-                    writer.add_scalar(key, float(value), line["iteration"])
+                    writer.add_scalar(key, float(str(value)), line["iteration"])
 
 
 def _events(path: Path) -> Iterator[tuple[Event, int]]:
@@ -94,19 +92,10 @@ def _events(path: Path) -> Iterator[tuple[Event, int]]:
         start = stop
 
 
-_LOGGER_KEY, _WANDB = "agent.logger", "wandb"
-_WANDB_PROJECT = "wheelleg_exp"
 # ``_WANDB_SETTINGS`` stop wandb from sending host name, program, packages, console output, and source code.
 _WANDB_SETTINGS: dict[str, object] = {"console": "off", "host": "", "save_code": False, "x_save_requirements": False}
 _WANDB_SETTINGS |= dict.fromkeys(("silent", "disable_code", "disable_git", "disable_job_creation"), True)
 _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x_disable_stats"), True)
-
-
-def require_wandb(logger: str | None) -> None:
-    """Raise ConfigError if the logger is wandb and the package wandb is not installed."""
-    if logger == _WANDB and find_spec(_WANDB) is None:
-        message = "the package wandb is not installed"
-        raise ConfigError(message, key=_LOGGER_KEY, expected="pip install wheelleg_exp[wandb], or tensorboard")
 
 
 class WandbLog:
@@ -125,7 +114,7 @@ class WandbLog:
         task, moment = self._directory.path.parent.name, self._directory.manifest().started
         try:
             self._run = wandb.init(
-                project=os.environ.get("WANDB_PROJECT", _WANDB_PROJECT),
+                project=os.environ.get("WANDB_PROJECT", "wheelleg_exp"),
                 name=f"{task}/{self._directory.id}",
                 id=f"{task}-{self._directory.id}-{moment:%f}",  # Microseconds make the wandb run's id unique.
                 resume="allow",
@@ -137,7 +126,7 @@ class WandbLog:
         except wandb.Error as error:
             message = f"Weights & Biases cannot be reached: {str(error).splitlines()[0]}"
             expected = "a login ('wandb login'), or WANDB_MODE=offline in the environment"
-            raise WheellegError(message, key=_LOGGER_KEY, expected=expected) from error
+            raise WheellegError(message, key="agent.logger", expected=expected) from error
         return self
 
     def __exit__(self, *error: object) -> None:

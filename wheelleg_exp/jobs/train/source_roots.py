@@ -37,10 +37,18 @@ def source_roots(composed: Composed) -> list[Path]:
     The list also contains the user's projects, Hydra's config folders, and packages named in keys such as ``_target_``.
     The folder of the robot's file is not returned, because a run directory contains a copy of the robot.
     """
-    folders = _config_folders(composed)
+    folders = list(composed.config_dirs)
+    for source in composed.loader.repository_used.get_sources():
+        path = Path(source.path)
+        if source.scheme() == "file" and path.resolve() != configs_dir().resolve():
+            folders.append(path)
+        elif source.scheme() == "pkg" and (root := _package_root(source.path)) is not None:
+            folders.append(root)
     roots = [configs_dir().parent, *(folder.parent if read_project(folder.parent) else folder for folder in folders)]
-    roots += [root for name in _packages_called(composed.config) if (root := _package_root(name)) is not None]
-    return _unique(roots)
+    called = set(_called_names(composed.config))
+    declared = sorted({*installed_packages(), *joined_packages()})
+    names = (name for name in declared if any(call.startswith(f"{name}.") for call in called))
+    return _unique([*roots, *(root for name in names if (root := _package_root(name)) is not None)])
 
 
 def loaded_outside(roots: Sequence[Path]) -> list[Path]:
@@ -62,23 +70,6 @@ def module_digests() -> dict[str, str]:
     own = {n for n, places in tops.items() if n not in (_PACKAGE, "__main__") and not all(map(is_installed, places))}
     files = {n: getattr(module, "__file__", None) for n, module in modules if n.partition(".")[0] in own}
     return {n: sha256(Path(f)) for n, f in files.items() if isinstance(f, str) and Path(f).is_file()}
-
-
-def _config_folders(composed: Composed) -> Iterator[Path]:
-    yield from composed.config_dirs
-    for source in composed.loader.repository_used.get_sources():
-        path = Path(source.path)
-        if source.scheme() == "file" and path.resolve() != configs_dir().resolve():
-            yield path
-        elif source.scheme() == "pkg" and (root := _package_root(source.path)) is not None:
-            yield root
-
-
-def _packages_called(config: Mapping[str, object]) -> list[str]:
-    """Return the names of the user's packages that occur in ``_target_`` or ``class_name`` keys of the config."""
-    declared = {*installed_packages(), *joined_packages()}
-    called = set(_called_names(config))
-    return sorted(name for name in declared if any(call.startswith(f"{name}.") for call in called))
 
 
 def _called_names(node: object) -> Iterator[str]:

@@ -11,19 +11,17 @@ from types import TracebackType
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from wheelleg_exp.config.schema import RecordingOptions
-from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
 from wheelleg_exp.jobs.rollout_files import close_dataset, write_dataset
+from wheelleg_exp.jobs.train.prepare_training import Training
 from wheelleg_exp.jobs.train.scalar_logs import WandbLog, event_files, open_events
 from wheelleg_exp.jobs.train.training_recording import Films, TrainingRecording
 from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.trainer import Iteration, Trainer
-from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
+from wheelleg_exp.run.run_directory import FAILURE
 
 
 class Outputs:
@@ -33,19 +31,16 @@ class Outputs:
     ``diverged_after`` is the first iteration after which two ranks have different networks, or None.
     """
 
-    def __init__(
-        self,
-        directory: RunDirectory,
-        trainer: Trainer,
-        options: RecordingOptions,
-        documents: Mapping[str, str],
-        *,
-        events: bool,
-        wandb: WandbLog | None,
-    ) -> None:
-        self._directory, self._trainer, self._options = directory, trainer, options
-        self._documents, self._events = documents, events
-        self.wandb = wandb
+    def __init__(self, training: Training) -> None:
+        recipe = training.recipe
+        self._directory, self._trainer, self._options = (
+            training.directory,
+            training.trainer,
+            recipe.experiment.recording,
+        )
+        self._documents = {"config": f"```yaml\n{recipe.hydra_files['config.yaml']}\n```"}
+        self._logger = recipe.experiment.agent.logger
+        self.wandb = WandbLog(training.directory, recipe.config) if self._logger == "wandb" else None
         self._tensorboard: SummaryWriter | None = None
         self.recording: TrainingRecording | None = None
         self.films: Films | None = None
@@ -56,7 +51,7 @@ class Outputs:
     def __enter__(self) -> Outputs:
         env, start = self._trainer.env.env, self._trainer.iteration
         with ExitStack() as opened:
-            if self._events:
+            if self._logger is not None:
                 self._tensorboard = open_events(self._directory.path)
                 opened.callback(self._tensorboard.close)
             self._lines = opened.enter_context(self._directory.iterations.open("a", encoding="utf-8"))
@@ -113,7 +108,7 @@ class Outputs:
             self.wandb.write(iteration.scalars, iteration.index)
         if self.films is not None:
             self.films.write(iteration.index)
-        write_dataset(self._directory.dataset, self._trainer.env.env, iteration.index)
+        write_dataset(self._directory.dataset, self._trainer.env.env, f"{iteration.index:06d}.npz")
         return found
 
     def checkpoint(self, iteration: int) -> str:
@@ -154,15 +149,15 @@ def summary(scalars: Mapping[str, object]) -> dict[str, object]:
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}
 
 
-def save_failure(
-    directory: RunDirectory, manifest: Manifest, error: SimulationFailure, iteration: int, env: ManagerBasedRLEnv
-) -> None:
+def save_failure(training: Training, error: SimulationFailure) -> None:
     """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
-    entry: dict[str, object] = {"file": FAILURE, "key": error.key, "iteration": iteration, "message": error.message}
+    trainer, env = training.trainer, training.trainer.env.env
+    entry: dict[str, object] = {"file": FAILURE, "key": error.key, "iteration": trainer.iteration}
+    entry["message"] = error.message
     names: dict[str, object] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
     names |= {"reward_terms": env.reward_manager.active_terms, "observations": env.observation_manager.active_terms}
     arrays = {name: value.cpu().numpy() for name, value in error.evidence.items()}
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, about=np.array(json.dumps({**entry, **names})), **arrays)
-    write_bytes(directory.path / FAILURE, buffer.getvalue())
-    manifest.record(failure=entry)
+    write_bytes(training.directory.path / FAILURE, buffer.getvalue())
+    training.manifest.record(failure=entry)

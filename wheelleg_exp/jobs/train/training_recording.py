@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.schema import RecordingOptions
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -112,7 +111,7 @@ class TrainingRecording(ObservingRecording):
     at least ``steps`` frames together. A resumed run records the same episodes as an uninterrupted run.
 
     A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
-    dropped, and an unfinished sample continues. ``note`` is a text with warnings about the recording, or None.
+    dropped, and an unfinished sample continues.
     """
 
     def __init__(
@@ -124,11 +123,16 @@ class TrainingRecording(ObservingRecording):
         *,
         start_iteration: int = 0,
     ) -> None:
-        aside = move_aside(directory.recording, go_on=start_iteration > 0)
-        own: dict[str, Any] = {"recording_id": directory.id, "name": directory.id, "about": {"task": _task(directory)}}
+        path, name, ids, about = (
+            directory.recording,
+            directory.id,
+            options.env_ids,
+            {"task": directory.path.parent.name},
+        )
+        aside = move_aside(path, go_on=start_iteration > 0)
         kept = env.common_step_counter if start_iteration > 0 else None
         recorder = Recorder(
-            directory.recording, env, env_ids=options.env_ids, purpose="training", keep_until=kept, **own
+            path, env, recording_id=name, name=name, env_ids=ids, purpose="training", about=about, keep_until=kept
         )
         super().__init__(env, recorder, live=options.live)
         self._options, self._first = options, start_iteration
@@ -142,7 +146,6 @@ class TrainingRecording(ObservingRecording):
         self._longest = options.steps - 1 + env.max_episode_length
         self._room = self._recorder.frames_within(options.max_mb)
         self.notes = [note for note in (aside, self._warning()) if note]
-        self.note = "; ".join(self.notes) or None
 
     def _begin_recording(self) -> None:
         self._begin(self._first)
@@ -184,13 +187,11 @@ class TrainingRecording(ObservingRecording):
 
     def _begin(self, iteration: int) -> None:
         self._recorder.iteration = iteration
-        due = self._due(iteration)
+        # The control step at the start of the latest iteration that is a multiple of ``interval``.
+        due = now = self._env.common_step_counter
+        if iteration:
+            due -= (iteration % self._options.interval) * (now // iteration)
         self._recorder.sample(due, self._options.steps if self._has_room(due) else 0, self._longest)
-
-    def _due(self, iteration: int) -> int:
-        """Return the control step at the start of the latest iteration that is a multiple of ``interval``."""
-        now = self._env.common_step_counter
-        return now - (iteration % self._options.interval) * (now // iteration) if iteration else now
 
     def _has_room(self, due: int) -> bool:
         return self._recorder.frames_until(due) + self._longest <= self._room
@@ -207,10 +208,3 @@ class TrainingRecording(ObservingRecording):
             bound, count = self._options.max_mb, iteration // interval
             text = f"the bound of {bound:g} MB is reached after {count} {'sample' if count == 1 else 'samples'}; "
             self._recorder.say(text + "from here on there are scalars alone")
-
-
-def _task(directory: RunDirectory) -> Any:
-    try:
-        return directory.manifest().data["task"]
-    except WheellegError:
-        return None
