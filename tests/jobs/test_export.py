@@ -224,7 +224,7 @@ def test_a_bundle_below_its_run_belongs_to_the_run_and_the_command_prints_its_pa
 
 def test_the_bundle_and_the_command_show_the_margins_of_the_checkpoint(run):
     assert "Not measured" in (exported(run).folder / "README.md").read_text()
-    sha = job.sha256(run.latest_checkpoint())
+    sha = job.files.sha256(run.latest_checkpoint())
     for kind, delay, checkpoint in (
         ("evaluation", 0.05, sha),
         ("evaluation", 0.9, "0" * 64),
@@ -408,7 +408,7 @@ def test_the_simulation_of_a_bundle_moves_as_the_training_does(profile, trained,
     env = ManagerBasedRLEnv(as_configured(params), saved_mjcf(trained.run), 0)
     env.autoreset = "disabled"
     job._write_robot(tmp_path / "robot", saved_mjcf(trained.run), params, env)
-    spec = job.specification(env, agent, {})
+    spec = job.bundle_specification.specification(env, agent, {})
     robot = simulate.Robot(spec, tmp_path / "robot" / "scene.xml")
     for action in 2.0 * torch.randn(12, 1, 6, generator=torch.Generator().manual_seed(0)):
         env.step(action)

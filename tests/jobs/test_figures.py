@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from wheelleg_exp.jobs.rollout_figures import ContactFigures, ContactMeter, StandMeter, target_height
+from wheelleg_exp.jobs.rollout_figures import ContactFigures, ContactMeter, StandMeter
 
 STEP = 0.5  # s
 
@@ -186,8 +186,6 @@ def test_a_task_without_a_target_has_no_height_error():
     observe(env, meter, heights=(0.1, 0.2, 0.3))
     assert meter.figures().height_rmse_m is None
     assert meter.figures().height_mean_m == pytest.approx(0.2)
-    assert target_height(env) is None
-    assert target_height(FakeEnv()) == 0.3
 
 
 def contact(env, forces, pitches=(0.0, 0.0, 0.0)):

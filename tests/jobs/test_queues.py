@@ -148,7 +148,8 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     job = QueueWorker()
     thread = threading.Thread(target=job, args=(str(tmp_path),), daemon=True)
     thread.start()
-    while '"run"' not in sweep_queue._read_or_empty(tmp_path / sweep_queue.EVENTS):
+    events = tmp_path / sweep_queue.EVENTS
+    while not events.exists() or '"run"' not in events.read_text():
         thread.join(0.02)
     assert job.checkpoint(str(tmp_path)) is None
     thread.join()

@@ -218,9 +218,9 @@ def found(names: Sequence[str], root: Path, checkpoint: str | None = None) -> li
 
 def _require_one_robot(chosen: Sequence[Policy], key: str) -> None:
     """Raise WheellegError if runs whose mean is printed were trained with different files of a robot."""
-    from wheelleg_exp.jobs.saved_robot import saved_sources
+    from wheelleg_exp.run.run_config import recorded_robot
 
     for policy in chosen[1:]:
-        if saved_sources(policy.run) != saved_sources(first := chosen[0].run):
+        if recorded_robot(policy.run).sources != recorded_robot(first := chosen[0].run).sources:
             message = f"the runs '{first.id}' and '{policy.run.id}' have different robots, so no mean of both is useful"
             raise WheellegError(message, key=key, expected="trainings of one robot with different seeds")

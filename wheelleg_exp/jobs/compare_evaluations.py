@@ -7,16 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from wheelleg_exp.evaluation.method_comparison import (
-    Difference,
-    OverSeeds,
-    differences,
-    engine_verdict,
-    judged_metrics,
-    over_seeds,
-    push_verdict,
-    verdict,
-)
+from wheelleg_exp.evaluation import method_comparison as comparison
+from wheelleg_exp.evaluation.method_comparison import Difference, OverSeeds
 from wheelleg_exp.evaluation.result import plain
 from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs.evaluate_policy import Evaluated
@@ -48,23 +40,22 @@ def compare(
 ) -> Compared:
     """Compare the evaluations of runs, and save the comparison in the directory of the first run.
 
-    ``runs`` are runs of one training method with different seeds. ``against`` are runs of a second training method, or
-    an empty list. ``name`` is the common name of ``runs``, by default the id of the first run. ``engines`` names two
-    engines if ``runs`` and ``against`` are evaluations of the same runs with these engines.
+    ``runs`` and ``against`` are runs of two training methods with different seeds. ``name`` is the common name of
+    ``runs``, by default the id of the first run. ``engines`` names two engines with which the same runs were evaluated.
     """
-    seeds = over_seeds([made.evaluation for made in runs])
-    found = differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
+    seeds = comparison.over_seeds([made.evaluation for made in runs])
+    found = comparison.differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
     names = name or group_name(runs), group_name(against) if against else ""
     # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     if engines:
-        said, pushed = engine_verdict(found, *engines), ""
+        said, pushed = comparison.engine_verdict(found, *engines), ""
         abouts = [made.evaluation.about for made in (*runs, *against)]
         if odd := dict.fromkeys(text for about in abouts for text in about.get("robot_differences", ())):
             said += f" The robot differs between {' and '.join(engines)}: {', '.join(odd)}."
     else:
-        said = verdict(found, *names, trainings) if against else ""
-        pushed = push_verdict(found, *names)
+        said = comparison.verdict(found, *names, trainings) if against else ""
+        pushed = comparison.push_verdict(found, *names)
     evaluation = runs[0].evaluation
     content: dict[str, Any] = {
         "format": COMPARISON_FORMAT,
@@ -83,7 +74,7 @@ def compare(
         write_json(folder / COMPARISON, content)
         results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
         if engines:
-            values = {row.metric: [row.first, row.second, row.unit] for row in judged_metrics(found)}
+            values = {row.metric: [row.first, row.second, row.unit] for row in comparison.judged_metrics(found)}
             results |= {"engines": list(engines), "metrics": plain(values), "runs": len(runs)}
         run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
     return Compared(folder, seeds, found, said, pushed, content)

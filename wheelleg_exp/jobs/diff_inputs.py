@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose
 from wheelleg_exp.config.composing.provenance import Mount
@@ -17,17 +17,8 @@ from wheelleg_exp.config.tree_lookup import line_table
 from wheelleg_exp.errors import RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.jobs.train.source_roots import source_roots
 from wheelleg_exp.paths import find_asset
-from wheelleg_exp.run import environment
+from wheelleg_exp.run import environment, run_config
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-from wheelleg_exp.run.run_config import (
-    CONFIG,
-    PARTS,
-    ROBOT,
-    load_params,
-    recorded_config,
-    recorded_overrides,
-    recorded_robot,
-)
 from wheelleg_exp.run.run_directory import LATEST, RunDirectory
 from wheelleg_exp.run.source_changes import SourceRecord
 from wheelleg_exp.run.source_snapshot import snapshot_source
@@ -40,10 +31,9 @@ _CODE = ("commit", "tree", "dirty", "patch_sha256")
 
 
 def load_sides(a: str, b: str, root: Path, config_dirs: Sequence[Path] = ()) -> tuple[Side, Side]:
-    """Load the two training inputs that ``wheelleg diff`` compares.
+    """Load two inputs of ``wheelleg diff``: each is a run (path, id, or ``latest``), a task, or a list of overrides.
 
-    An input names a run (path, id, or ``latest``) or a task, lists overrides, or does both. If only one input is a run,
-    the run is compared with this machine's source code, package versions, and hardware.
+    If only one input is a run, it is compared with this machine's source code, package versions, and hardware.
     """
     (one, composed), (other, composed_too) = (_load(text, root, config_dirs) for text in (a, b))
     if composed is not None and other.facts:
@@ -62,7 +52,14 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
     if words and not is_override(first):
         tasks = [entry.name for entry in catalog.tasks(config_dirs)]
         if first not in tasks:
-            return _run(_open(first, root, tasks), rest), None
+            try:
+                run = RunDirectory.open(first, root)
+            except RunDirectoryError as error:
+                message = f"neither a task nor a run: {error.message}"
+                expected = f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'"
+                nearest = nearest_name(first, tasks) or error.nearest
+                raise RunDirectoryError(message, key=first, expected=expected, nearest=nearest) from error
+            return _run(run, rest), None
         words = [f"task={first}", *rest]
     composed = compose(words, config_dirs=config_dirs)
     tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
@@ -89,17 +86,6 @@ def split_words(text: str) -> list[str]:
     return [word for word in words if word]
 
 
-def _open(name: str, root: Path, tasks: Sequence[str]) -> RunDirectory:
-    try:
-        return RunDirectory.open(name, root)
-    except RunDirectoryError as error:
-        message = f"neither a task nor a run: {error.message}"
-        expected = f"a task ({', '.join(tasks)}), overrides (key=value), a run's path or id, or '{LATEST}'"
-        raise RunDirectoryError(
-            message, key=name, expected=expected, nearest=nearest_name(name, tasks) or error.nearest
-        ) from error
-
-
 def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
     """Return where a config key was set or deleted: a YAML line, an override, or None (unknown)."""
     places, keys = composed.provenance, split_path(path)
@@ -111,9 +97,16 @@ def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
 
 
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
-    env, agent = load_params(run)
-    tree = apply_overrides({**_recorded_sections(run), "env": env, "agent": agent}, overrides)
-    typed = [*recorded_overrides(run), *overrides]
+    env, agent = run_config.load_params(run)
+    facts = run.manifest().facts
+    sections: dict[str, object] = {"task": {"name": facts.task}, **({"seed": facts.seeds[0]} if facts.seeds else {})}
+    if (run.path / run_config.CONFIG).is_file():
+        # Ignore a saved config with an interpolation that OmegaConf cannot resolve.
+        with suppress(RunDirectoryError):
+            recorded = run_config.recorded_config(run, facts.config_variables or {})
+            sections |= {key: value for key, value in recorded.items() if key in SECTIONS and value is not None}
+    tree = apply_overrides({**sections, "env": env, "agent": agent}, overrides)
+    typed = [*run_config.recorded_overrides(run), *overrides]
 
     def where(path: str) -> str | None:
         for text in reversed(typed):
@@ -121,8 +114,8 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
             if keys and split_path(path)[: len(keys)] == keys:  # An override of a config key also sets all child keys.
                 return f"override {text}"
         part, *inside = split_path(path)
-        if part not in PARTS:
-            return CONFIG
+        if part not in run_config.PARTS:
+            return run_config.CONFIG
         line = line_table(run.params / f"{part}.yaml").get(tuple(inside))
         return None if line is None else f"params/{part}.yaml:{line}"
 
@@ -130,25 +123,10 @@ def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:
     return Side(" ".join([label, *overrides]), {key: tree[key] for key in SECTIONS if key in tree}, where, _facts(run))
 
 
-def _recorded_sections(run: RunDirectory) -> dict[str, Any]:
-    """Return a run's config sections that are not in the folder ``params/``, such as ``task`` and ``seed``."""
-    facts = run.manifest().facts
-    sections: dict[str, Any] = {"task": {"name": facts.task}}
-    if facts.seeds:
-        sections["seed"] = facts.seeds[0]
-    if not (run.path / CONFIG).is_file():
-        return sections
-    try:
-        recorded = recorded_config(run, facts.config_variables or {})
-    except RunDirectoryError:
-        return sections  # OmegaConf cannot resolve an interpolation in the run's saved config, so ignore this config.
-    return {**sections, **{key: value for key, value in recorded.items() if key in SECTIONS and value is not None}}
-
-
 def _facts(run: RunDirectory) -> dict[str, Mapping[str, object]]:
     manifest = run.manifest()
     facts = manifest.facts
-    robot = recorded_robot(run) if (run.path / ROBOT).is_file() else None
+    robot = run_config.recorded_robot(run) if (run.path / run_config.ROBOT).is_file() else None
     return {
         "code": _code(source_of(run, manifest)),
         "versions": facts.versions or {},

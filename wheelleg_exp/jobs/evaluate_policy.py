@@ -1,7 +1,4 @@
-"""Evaluate a policy or an LQR controller in fixed test scenarios, such as standing and pushes, and save the result.
-
-Each evaluation is saved in a folder ``evaluation/<time>/`` of the evaluated run.
-"""
+"""Evaluate a policy or an LQR controller in fixed scenarios, and save the result in ``evaluation/<time>/`` of a run."""
 
 from __future__ import annotations
 
@@ -28,12 +25,12 @@ from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
 from wheelleg_exp.jobs.saved_evaluation import EPISODES, RESULT, read_content, write_episodes
-from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_sources
+from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run import run_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import engine_kind, read_env
 from wheelleg_exp.terms.config_sections import plain_section, read_section
@@ -61,15 +58,12 @@ class EvaluationSettings:
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> EvaluationSettings:
-    """Apply an evaluation's overrides, and return its config.
-
-    Overrides of ``protocol`` and ``seed`` change the evaluation; all other overrides change the run's config.
-    """
+    """Return the config of an evaluation; overrides without ``protocol`` and ``seed`` change the run's config."""
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
     composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
-    env, agent = load_params(run)
-    recorded = {"env": on_reference_engine(upgrade_env_params(env)), "agent": agent}
+    env, agent = run_config.load_params(run)
+    recorded = {"env": run_config.on_reference_engine(run_config.upgrade_env_params(env)), "agent": agent}
     tree = {**apply_overrides(recorded, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
     with composed.placing(), placing(others):
         if errors := check_tree(tree, EvaluateRoot):
@@ -79,7 +73,7 @@ def evaluation_settings(
         require_read(recorded, others, lambda changed: _settings_read(changed, config.protocol), _ALTERNATIVES)
         config = replace(config, env=with_robot_file(config.env, composed.asset_roots))
         if engine_kind(config.env.sim.engine).reads_robot_file:
-            saved, present = saved_sources(run), source_digest(Path(config.env.robot.asset))
+            saved, present = run_config.recorded_robot(run).sources, source_digest(Path(config.env.robot.asset))
             if changed := [name for name, digest in present.items() if saved.get(name) != digest]:
                 message = f"{changed[0]} differs from the file that the run was trained with"
                 raise ConfigError(message, key="env.robot.asset", expected="the run's robot, or env.sim.engine=mujoco")
@@ -89,7 +83,7 @@ def evaluation_settings(
 def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Mapping[str, object]:
     """Return the parts of the config sections ``env`` and ``agent`` that an evaluation uses."""
     env = read_env(tree["env"])
-    agent = {key: value for key, value in tree["agent"].items() if key in POLICY_KEYS}
+    agent = {key: value for key, value in tree["agent"].items() if key in run_config.POLICY_KEYS}
     used = plain_section(evaluation_options(env, protocol, 0, 0.0, protocol.ground))
     rewards = {} if protocol.target_height is not None else target_heights(env)
     return {"env": {**used, "rewards": rewards}, "agent": agent}
@@ -129,10 +123,9 @@ def evaluate_run(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the mean action of a run's policy, and save the result in the run directory.
+    """Evaluate the mean action of a checkpoint (default: the last), and save the result in the run directory.
 
-    If ``checkpoint`` is None, the last checkpoint of the run is evaluated. ``progress`` is called with the name of
-    the current test, the finished steps, and the total steps of this test.
+    ``progress`` is called with the name of the current test, the finished steps, and the total steps of this test.
     """
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     settings = evaluation_settings(run, overrides, config_dirs)
@@ -149,11 +142,7 @@ def evaluate_reference(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate an LQR controller with the robot and the task of a run, and save the result in the run directory.
-
-    The arguments are those of ``evaluate_run``, without ``checkpoint``. ConfigError means that the reference controller
-    (LQR) cannot balance the robot.
-    """
+    """Evaluate an LQR controller like ``evaluate_run``; ConfigError means that it cannot balance the robot."""
     settings = evaluation_settings(run, overrides, config_dirs)
     made: list[Reference] = []
 
@@ -209,11 +198,7 @@ def policy_of(checkpoint: Path, agent: Learning) -> MakePolicy:
 def find_saved(
     run: RunDirectory, checkpoint: str, settings: EvaluationSettings, overrides: Sequence[str]
 ) -> Path | None:
-    """Return the folder of a checkpoint's newest evaluation with a given protocol, or None if none was saved.
-
-    ``checkpoint`` is the checkpoint's sha256. Evaluation protocols are compared by their settings, not by their
-    overrides.
-    """
+    """Return the folder of the newest evaluation of a checkpoint (its sha256) with equal settings, or None."""
     asked = (checkpoint, settings.config.seed, settings.protocol, run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
     for folder in sorted(folders, reverse=True):

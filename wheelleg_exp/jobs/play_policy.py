@@ -1,7 +1,4 @@
-"""Play a trained policy for one episode, and save the metrics and a recording in the directory of the run.
-
-``prepare_policy`` builds an environment from the files of the run and loads the policy. A drive uses it, too.
-"""
+"""Play a trained policy for one episode, and save the metrics and a recording in the directory of the run."""
 
 from __future__ import annotations
 
@@ -21,25 +18,16 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_disturbances
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import dump_json, write_json
+from wheelleg_exp.jobs import rollout_files
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter, StandFigures, StandMeter
-from wheelleg_exp.jobs.rollout_files import (
-    EpisodeRecording,
-    checkpoint_facts,
-    close_dataset,
-    command_document,
-    config_document,
-    dated_folder,
-    fenced,
-    run_documents,
-)
-from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf, saved_model_digest
+from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.rollout_log import FailureCount
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
-from wheelleg_exp.run.run_config import POLICY_KEYS, load_params, on_reference_engine, upgrade_env_params
+from wheelleg_exp.run import run_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
 from wheelleg_exp.terms.config_sections import plain_section, read_section
@@ -66,14 +54,17 @@ class RunPolicy:
     policy: Any  # returns the mean action
     about: dict[str, str]  # the file name and the sha256 of the policy's checkpoint
 
-    def recording(self, folder: Path, command: Sequence[str]) -> EpisodeRecording:
+    def recording(self, folder: Path, command: Sequence[str]) -> rollout_files.EpisodeRecording:
         """Return a recording of the environment in which the policy acts."""
-        documents = run_documents(self.run) | config_document(self.tree) | command_document(command)
+        documents = rollout_files.run_documents(self.run) | rollout_files.config_document(self.tree)
+        documents |= rollout_files.command_document(command)
         task, path = self.run.manifest().data.get("task"), folder / "recording.rrd"
         about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
         options, env = self.settings.recording, self.adapter.env
-        documents |= {"checkpoint": fenced(dump_json(self.about), "json")}
-        return EpisodeRecording(path, env, options, purpose="play", name=folder.name, about=about, documents=documents)
+        documents |= {"checkpoint": rollout_files.fenced(dump_json(self.about), "json")}
+        return rollout_files.EpisodeRecording(
+            path, env, options, purpose="play", name=folder.name, about=about, documents=documents
+        )
 
 
 def prepare_policy(
@@ -83,15 +74,11 @@ def prepare_policy(
     display: Display,
     change: Callable[[Tree], Tree] | None = None,
 ) -> RunPolicy:
-    """Load a run's policy, and build an environment from the config of this run.
-
-    If ``checkpoint`` is None, the last checkpoint of the run is loaded. ``change`` is a function that modifies the
-    config after the overrides.
-    """
+    """Load a policy (default: the last checkpoint), and build its environment; ``change`` modifies the config."""
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
-    env_params, agent = load_params(run)
+    env_params, agent = run_config.load_params(run)
     own = {key: compose(primary="play").config[key] for key in ("seed", "play", "drive", "recording")}
-    recorded = {**own, "env": on_reference_engine(upgrade_env_params(env_params)), "agent": agent}
+    recorded = {**own, "env": run_config.on_reference_engine(run_config.upgrade_env_params(env_params)), "agent": agent}
     tree = apply_overrides(recorded, overrides)
     with placing(overrides):
         tree = tree if change is None else change(tree)
@@ -103,18 +90,18 @@ def prepare_policy(
         settings = read_section(PlayRoot, tree, "")
         env = ManagerBasedRLEnv(settings.env, saved_mjcf(run), settings.seed)
     set_threads(settings.agent, env.scene.sim.nthread)
-    if not is_changed and env.scene.model_digest() != saved_model_digest(run):
+    if not is_changed and env.scene.model_digest() != run_config.recorded_robot(run).model_sha256:
         display.note("note: the compiled model differs from the training's; is this another MuJoCo version?")
     adapter = RslRlVecEnv(env, settings.agent.clip_actions)
     policy = load_policy(checkpoint, adapter, settings.agent)
     if settings.play.conditions != "training":
         display.note("note: no pushes, random forces, or observation noise (play.conditions=training has them)")
-    return RunPolicy(run, checkpoint, settings, tree, adapter, policy, checkpoint_facts(run, checkpoint))
+    return RunPolicy(run, checkpoint, settings, tree, adapter, policy, rollout_files.checkpoint_facts(run, checkpoint))
 
 
-def _settings_read(tree: Mapping[str, Any]) -> Any:
+def _settings_read(tree: Mapping[str, Any]) -> Tree:
     """Return the settings that a play reads: of ``agent``, the policy's network and the number of accepted failures."""
-    agent = {key: value for key, value in tree["agent"].items() if key in (*POLICY_KEYS, "max_non_finite")}
+    agent = {key: value for key, value in tree["agent"].items() if key in (*run_config.POLICY_KEYS, "max_non_finite")}
     return {**_in_conditions(tree), "agent": agent}
 
 
@@ -148,7 +135,7 @@ def play(
     env.observers += [meter.observe, motion.observe]
     failures = FailureCount(env.num_envs, settings.agent.max_non_finite)
     content = {**prepared.about, **asdict(settings.play), "seed": settings.seed, "overrides": list(overrides)}
-    with dated_folder(run.play) as folder:
+    with rollout_files.dated_folder(run.play) as folder:
         recording = prepared.recording(folder, command) if settings.recording.enabled else None
         if recording is not None:
             recording.warn(display.note)
@@ -157,7 +144,7 @@ def play(
             content |= meter.figures().as_dict() | vars(motion.figures())
             if recording is not None:
                 recording.figures(content)
-        dataset = close_dataset(folder / "dataset", env)
+        dataset = rollout_files.close_dataset(folder / "dataset", env)
         write_json(folder / "figures.json", content)
         files = [*dataset, folder / "figures.json", *([recording.path] if recording else [])]
         run.manifest().add("play", files, content, command=command)
@@ -167,7 +154,13 @@ def play(
 
 @ending_as(SimulationFailure)
 @torch.inference_mode()
-def _roll(adapter: RslRlVecEnv, policy: Any, meter: StandMeter, failures: FailureCount, display: Display) -> None:
+def _roll(
+    adapter: RslRlVecEnv,
+    policy: Callable[..., torch.Tensor],
+    meter: StandMeter,
+    failures: FailureCount,
+    display: Display,
+) -> None:
     """Step the environments until each environment has finished its first episode."""
     env = adapter.env
     for step in range(env.max_episode_length):

@@ -9,31 +9,17 @@ from pathlib import Path
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.files import json_plain
+from wheelleg_exp.jobs import result_record
 from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
-from wheelleg_exp.jobs.result_record import (
-    EvaluationNumbers,
-    MetricNumbers,
-    Recipe,
-    ResultManifest,
-    ResultRecord,
-    build_record,
-    compare_with_reference,
-    evaluation_numbers,
-    parameters,
-)
+from wheelleg_exp.jobs.result_record import EvaluationNumbers, MetricNumbers, Recipe, ResultManifest, ResultRecord
 from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.run.environment import hardware, versions
 from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
-from wheelleg_exp.verify.run_differences import (
-    UNKNOWN_BEFORE_TORCH,
-    FactDifference,
-    allowing,
-    environment_differences,
-    plain_changes,
-)
+from wheelleg_exp.verify import run_differences
+from wheelleg_exp.verify.run_differences import FactDifference
 
 _COMMAND = ("wheelleg", "results")
 
@@ -69,8 +55,8 @@ def reproduce(
 ) -> Reproduction:
     """Repeat the trainings and evaluations of a saved result, and compare every number with the recorded number.
 
-    ``trained`` maps training recipes to finished runs; ``reproduce`` adds its runs, so that no recipe is trained twice.
-    ``say`` receives texts about the progress of the reproduction.
+    ``trained`` maps recipes to finished runs, so that no recipe is trained twice. ``say`` receives texts about the
+    progress.
     """
     here = [ProcessFacts(versions=versions(), hardware=hardware())]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))
@@ -96,7 +82,7 @@ def reproduce(
 
 def evaluation_differences(recorded: EvaluationNumbers, made: Evaluated) -> Iterator[str]:
     """Yield texts that describe how a new evaluation differs from the recorded evaluation."""
-    now = evaluation_numbers(made)
+    now = result_record.evaluation_numbers(made)
     for key in ("seed", "scenarios_sha256", "starts_sha256"):
         if now[key] != recorded[key]:
             yield f"{key} is {now[key]}, and was {recorded[key]}"
@@ -112,7 +98,7 @@ def _differences(record: ResultRecord, runs: Sequence[Evaluated], reference: Eva
     """Yield texts about networks, evaluations, and comparisons that differ from those of the recorded result."""
     equal = True
     for number, (recorded, made) in enumerate(zip(record["runs"], runs, strict=True), start=1):
-        now = parameters(made.run)
+        now = result_record.parameters(made.run)
         lines = [f"the networks are {now}, and were {recorded['parameters']}"] if now != recorded["parameters"] else []
         for line in (*lines, *evaluation_differences(recorded["evaluation"], made)):
             equal = False
@@ -122,15 +108,15 @@ def _differences(record: ResultRecord, runs: Sequence[Evaluated], reference: Eva
             equal = False
             yield f"reference: {line}"
     if equal:
-        compared = compare_with_reference(record["name"], runs, reference, _COMMAND)
-        now = json_plain(build_record(record["name"], compared, runs, reference, record["words"]))
+        compared = result_record.compare_with_reference(record["name"], runs, reference, _COMMAND)
+        now = json_plain(result_record.build_record(record["name"], compared, runs, reference, record["words"]))
         rest = [key for key in dict.fromkeys([*record, *now]) if key not in ("runs", "reference")]
         yield from _leaf_differences({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})
 
 
 def _leaf_differences(was: object, now: object, *keys: str) -> Iterator[str]:
     """Yield a text for each number or string that differs between two nested values."""
-    for change in plain_changes(was, now, keys):
+    for change in run_differences.plain_changes(was, now, keys):
         yield f"{change.key} is {shorten(change.b)}, and was {shorten(change.a)}"
 
 
@@ -138,9 +124,13 @@ def _machine_differences(
     was: Sequence[ProcessFacts], now: Sequence[ProcessFacts], *, early: bool = False
 ) -> list[FactDifference]:
     """Return machine differences that may change results; ``early`` omits those that only an imported torch reports."""
-    unknown = UNKNOWN_BEFORE_TORCH if early else ()
+    unknown = run_differences.UNKNOWN_BEFORE_TORCH if early else ()
     sides = ((one.processes, other.processes) for one, other in zip(was, now, strict=True))
-    facts = [fact for one, other in sides for fact in allowing(environment_differences(one, other, unknown))]
+    facts = [
+        fact
+        for one, other in sides
+        for fact in run_differences.allowing(run_differences.environment_differences(one, other, unknown))
+    ]
     return [fact for number, fact in enumerate(facts) if fact not in facts[:number]]
 
 

@@ -1,7 +1,4 @@
-"""Write a result: the record with all numbers, the page in Markdown, and the manifests of its runs.
-
-A result's record contains the data that are needed to reproduce the result's numbers (see ``reproduce_result``).
-"""
+"""Write a result: the record with all numbers, the page in Markdown, and the manifests of its runs."""
 
 from __future__ import annotations
 
@@ -245,8 +242,7 @@ def write_results(
 ) -> list[Path]:
     """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
 
-    ``NAME.md`` and ``NAME.json`` replace earlier files with these names. Manifests of an earlier result ``NAME`` are
-    removed if their runs are not in the new result. ``words`` are the Hydra overrides of the evaluations.
+    Earlier files of this name are replaced or removed. ``words`` are the overrides of the evaluations.
     """
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
@@ -360,9 +356,8 @@ def require_matching_page(record: ResultRecord, manifests: Sequence[ResultManife
 def recipe(run: RunDirectory) -> Recipe:
     """Return how to train a run again: its overrides, and the recipe of the run with which it starts.
 
-    A resumed run counts as one uninterrupted training if each resume restored the training state exactly. A run that
-    was resumed on another machine, or with another number of threads, also counts as one training; the Markdown page of
-    results names both machines. If one uninterrupted training cannot reproduce the run, raise RunDirectoryError.
+    A run that was resumed exactly, on another machine, or with other threads counts as one training. If one
+    uninterrupted training cannot reproduce the run, raise RunDirectoryError.
     """
     facts = run.manifest().facts
     refuse_stock(run.path, facts.stock)

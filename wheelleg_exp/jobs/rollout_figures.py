@@ -1,7 +1,6 @@
 """Figures of a rollout: survival, base height and pitch, contact forces, drift, smoothness, and motor load.
 
-Meter classes, such as ``StandMeter``, read an environment's state after every control step, before the reset. The
-module ``definitions.rollout`` defines each metric of a rollout.
+Meters read an environment's state after every control step, before the reset; ``definitions.rollout`` defines metrics.
 """
 
 from __future__ import annotations
@@ -52,7 +51,9 @@ class StandMeter:
     def __init__(self, env: ManagerBasedRLEnv, settle_s: float) -> None:
         self._env = env
         self._settle_s, self._settle_steps = settle_s, settle_s / env.step_dt
-        self._target = target_height(env)
+        rewards = env.reward_manager
+        targets = [rewards.get_term_cfg(name).params.get("target_height") for name in rewards.active_terms]
+        self._target = next((float(target) for target in targets if target is not None), None)
         self.running = torch.ones(env.num_envs, dtype=torch.bool)
         self._survived = torch.zeros(env.num_envs, dtype=torch.bool)
         self._settled = torch.zeros(env.num_envs, dtype=torch.bool)
@@ -116,10 +117,7 @@ class ContactFigures:
 
 
 class ContactMeter:
-    """Collects statistics of each link's contact forces while the robot stands.
-
-    A robot counts as standing from ``settle_s`` seconds after its reset until its tilt reaches ``upright_rad``.
-    """
+    """Collects contact forces while a robot stands: ``settle_s`` s after a reset until a tilt of ``upright_rad``."""
 
     def __init__(self, env: ManagerBasedRLEnv, sensor: str, settle_s: float, upright_rad: float) -> None:
         self._env = env
@@ -148,15 +146,6 @@ class ContactMeter:
             return []
         rows = zip(self._sensor.body_names, self._sum, self._max, self._touching, strict=True)
         return [ContactFigures(b, float(s) / count, float(m), float(t) / count, count) for b, s, m, t in rows]
-
-
-def target_height(env: ManagerBasedRLEnv) -> float | None:
-    """Return the reward parameter ``target_height`` (m), or None if no reward term has this parameter."""
-    for name in env.reward_manager.active_terms:
-        target = env.reward_manager.get_term_cfg(name).params.get("target_height")
-        if target is not None:
-            return float(target)
-    return None
 
 
 def _rms(values: torch.Tensor) -> float:

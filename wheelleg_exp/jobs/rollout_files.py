@@ -1,7 +1,6 @@
 """Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
 
-``EpisodeRecording`` records every control step of a rollout. A dataset consists of ``.npz`` archives with the episodes
-that recorder terms collected (see `docs/datasets.md`).
+A dataset consists of ``.npz`` archives with the episodes that recorder terms collected (see `docs/datasets.md`).
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import shlex
 import shutil
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Self
@@ -53,7 +52,8 @@ def run_documents(directory: RunDirectory) -> dict[str, str]:
             continue
         found[title] = fenced(text, language)
         if title == "manifest":
-            found |= command_document(_command(text))
+            with suppress(ValueError, LookupError, TypeError):
+                found |= command_document([str(word) for word in json_value(text)["command"]])
     return found
 
 
@@ -65,13 +65,6 @@ def command_document(command: Sequence[str]) -> dict[str, str]:
 def config_document(config: Mapping[str, object]) -> dict[str, str]:
     """Return a composed config as a text document for a recording."""
     return {"config": fenced(dump_yaml(dict(config)), "yaml")}
-
-
-def _command(manifest: str) -> list[str]:
-    try:
-        return [str(word) for word in json_value(manifest)["command"]]
-    except (ValueError, LookupError, TypeError):
-        return []
 
 
 class ObservingRecording:
@@ -110,9 +103,7 @@ class ObservingRecording:
 class EpisodeRecording(ObservingRecording):
     """A context manager that records every control step of a rollout, until the recording file has its largest size.
 
-    The recording file receives each simulated second as soon as this second has ended. ``options`` is the
-    config section ``recording``. ``purpose`` selects the layout of
-    the viewer that shows the recording. ``name`` is the title of the recording in the viewer.
+    The file receives each simulated second as soon as it has ended. ``purpose`` selects the layout of the viewer.
     """
 
     def __init__(
@@ -136,7 +127,9 @@ class EpisodeRecording(ObservingRecording):
         self._bound = float(options.max_mb)
         self._frames = recorder.frames_within(self._bound)
         if self._frames < env.max_episode_length:
-            self.notes = (self._warning(),)
+            room = f"at least {self._frames} steps fit" if self._frames else "maybe no step fits"
+            text = f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
+            self.notes = (text + f"{recorder.megabytes(env.max_episode_length):.1f} MB are enough for an episode",)
 
     @property
     def path(self) -> Path:
@@ -152,11 +145,6 @@ class EpisodeRecording(ObservingRecording):
         self._recorder.start(steps=self._frames, last_words=words)
         if not self._frames:
             self._recorder.say(words)
-
-    def _warning(self) -> str:
-        room = f"at least {self._frames} steps fit" if self._frames else "maybe no step fits"
-        text = f"the limit of {self._bound:g} MB is small: {room} in addition to shapes and texts; "
-        return text + f"{self._recorder.megabytes(self._env.max_episode_length):.1f} MB are enough for an episode"
 
 
 _DATASET_NAME = re.compile(r"(\d+)(_unfinished)?\.npz")
@@ -181,18 +169,10 @@ def checkpoint_facts(run: RunDirectory, checkpoint: Path) -> dict[str, str]:
     return {"checkpoint": str(name), "checkpoint_sha256": sha256(checkpoint)}
 
 
-def write_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int) -> list[Path]:
-    """Write the episodes recorded since the last call, one file per recorder group, in a subfolder of ``folder``."""
-    return _write_groups(folder, env, f"{iteration:06d}.npz")
-
-
 def close_dataset(folder: Path, env: ManagerBasedRLEnv, iteration: int | None = None) -> list[Path]:
-    """Write the remaining episodes to files, with unfinished episodes if ``env.dataset.export_in_close`` is set.
-
-    The file name is ``episodes.npz``, or, for example, ``000012_unfinished.npz`` if ``iteration`` is 12.
-    """
+    """Write the remaining episodes to ``episodes.npz``, or to ``000012_unfinished.npz`` if ``iteration`` is 12."""
     env.recorder_manager.close()
-    return _write_groups(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
+    return write_dataset(folder, env, "episodes.npz" if iteration is None else f"{iteration:06d}_unfinished.npz")
 
 
 def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
@@ -201,7 +181,8 @@ def dataset_files_from(folder: Path, iteration: int) -> list[Path]:
     return [path for path, match in found if match and (match[2] or int(match[1]) >= iteration)]
 
 
-def _write_groups(folder: Path, env: ManagerBasedRLEnv, name: str) -> list[Path]:
+def write_dataset(folder: Path, env: ManagerBasedRLEnv, name: str) -> list[Path]:
+    """Write the episodes recorded since the last call, one file ``name`` per recorder group, below ``folder``."""
     paths = []
     for group, arrays in env.recorder_manager.take().items():
         path = (folder if group == "episodes" else folder / group) / name

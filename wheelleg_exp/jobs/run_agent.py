@@ -69,8 +69,14 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
                 directory.recording, env, options, purpose="play", name=title, about=about, documents=documents
             )
             recording.warn(display.note)
+        shape = (env.num_envs, env.action_manager.total_action_dim)
+        draws = env.streams.get("agent.random") if kind == "random" else None
+
+        def act() -> torch.Tensor:
+            return torch.zeros(shape) if draws is None else 2.0 * torch.rand(shape, generator=draws) - 1.0
+
         with recording or nullcontext():
-            _roll(env, _actor(kind, env), steps or env.max_episode_length, failures, display)
+            _roll(env, act, steps or env.max_episode_length, failures, display)
             contacts = {name: meter.figures() for name, meter in meters.items()}
             content = {"agent": kind, "figures": stand.figures().as_dict()}
             content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
@@ -79,14 +85,6 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
         close_dataset(directory.dataset, env)
         write_json(directory.path / "figures.json", content)
         return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
-
-
-def _actor(kind: AgentKind, env: ManagerBasedRLEnv) -> Callable[[], torch.Tensor]:
-    shape = (env.num_envs, env.action_manager.total_action_dim)
-    if kind == "zero":
-        return lambda: torch.zeros(shape)
-    generator = env.streams.get("agent.random")
-    return lambda: 2.0 * torch.rand(shape, generator=generator) - 1.0
 
 
 @ending_as(SimulationFailure)

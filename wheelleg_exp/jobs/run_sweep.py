@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from wheelleg_exp.child_process import Event
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import while_running
 from wheelleg_exp.jobs.sweep_queue import Job, LocalLauncher, Queue
@@ -41,9 +40,8 @@ class SweepDisplay(Protocol):
 class SweepRunner:
     """Runs the jobs of a sweep, at most ``at_once`` in parallel, until all jobs have ended or a stop is requested.
 
-    Each job has its own process: it computes the same bytes as ``wheelleg train`` with its overrides, and a job that
-    dies does not affect the others. After a stop request, each job finishes its current iteration, writes a checkpoint,
-    and stops.
+    Each job has its own process and computes the same bytes as ``wheelleg train``. After a stop request, each job
+    finishes its current iteration, writes a checkpoint, and stops.
     """
 
     def __init__(
@@ -110,20 +108,17 @@ class SweepRunner:
             self._display.started(entry)
 
     def _listen(self, wait_s: float = _WAIT_S) -> None:
-        for job, event in self._launcher.listen(self._running, wait_s):
-            self._hear(self._running[job], event)
-
-    def _hear(self, job: JobEntry, event: Event) -> None:
-        kind = event["event"]
-        if kind == "began":
-            self._index.job_started(job["number"])
-            self._display.started(job)
-        elif kind == "run":
-            self._index.job_has_run(job["number"], Path(event["path"]))
-        elif kind == "iteration":
-            self._display.iteration(job, event["done"], event["total"], event["scalars"])
-        elif kind == "note":
-            self._display.note(job, event["text"])
+        for source, event in self._launcher.listen(self._running, wait_s):
+            job, kind = self._running[source], event["event"]
+            if kind == "began":
+                self._index.job_started(job["number"])
+                self._display.started(job)
+            elif kind == "run":
+                self._index.job_has_run(job["number"], Path(event["path"]))
+            elif kind == "iteration":
+                self._display.iteration(job, event["done"], event["total"], event["scalars"])
+            elif kind == "note":
+                self._display.note(job, event["text"])
 
     def _reap(self) -> None:
         """Record the status of ended jobs in the sweep's index; a stopped job that never started stays ``waiting``."""

@@ -22,20 +22,15 @@ RESULT, EPISODES = "evaluation.json", "episodes.csv"
 _EXPECTED = "an evaluation that wheelleg evaluate has written"
 
 
-def write_episodes(path: Path, episodes: Mapping[str, np.ndarray[Any, Any]]) -> None:
+def write_episodes(path: Path, episodes: Mapping[str, np.ndarray]) -> None:
     """Write the evaluated episodes as CSV, one per row; Python's number format preserves every bit of a float."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(episodes)
     for row in zip(*(column.tolist() for column in episodes.values()), strict=True):
-        writer.writerow(_cell(value) for value in row)
+        # NaN becomes an empty cell, and a whole number is written without a decimal point.
+        writer.writerow("" if x != x else int(x) if isinstance(x, float) and x.is_integer() else x for x in row)
     write_text(path, file.getvalue())
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return "" if math.isnan(value) else repr(int(value) if math.isfinite(value) and value == int(value) else value)
 
 
 def read_content(folder: Path) -> dict[str, Any]:
@@ -55,14 +50,18 @@ def read_evaluation(folder: Path) -> Evaluation:
     """Load a saved evaluation and the episodes of this evaluation."""
     content = read_content(folder)
     try:
-        metrics = {name: _figure(value) for name, value in content["metrics"].items()}
+        metrics = {}
+        for name, value in content["metrics"].items():
+            numbers = (math.nan if value[key] is None else float(value[key]) for key in ("value", "low", "high"))
+            found, low, high = numbers
+            metrics[name] = Figure(found, low, high, value["episodes"], value["unit"], value["better"])
         facts = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
         return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **facts)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunDirectoryError(f"the evaluation is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
 
 
-def read_episodes(path: Path) -> dict[str, np.ndarray[Any, Any]]:
+def read_episodes(path: Path) -> dict[str, np.ndarray]:
     """Return the columns of ``episodes.csv``: texts, or numbers with NaN for empty cells."""
     with for_people(path, "read"):
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
@@ -90,11 +89,7 @@ class Margin(NamedTuple):
 
 
 def margins_of(additions: Sequence[Addition], checkpoint_sha256: str | None = None) -> list[Margin]:
-    """Return the margins that a run's newest evaluation of margins measured; [] without such an evaluation.
-
-    ``additions`` are the entries of the run's manifest. With ``checkpoint_sha256``, only evaluations of this checkpoint
-    count.
-    """
+    """Return the margins of a run's newest evaluation that measured any, of a checkpoint if given; [] without one."""
 
     def margins(results: Mapping[str, object]) -> dict[str, float]:
         metrics = results.get("metrics")
@@ -111,12 +106,7 @@ def margins_of(additions: Sequence[Addition], checkpoint_sha256: str | None = No
     return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in margins(mine[-1]).items()]
 
 
-def _figure(value: Mapping[str, Any]) -> Figure:
-    numbers = {key: float("nan") if value[key] is None else float(value[key]) for key in ("value", "low", "high")}
-    return Figure(**numbers, episodes=value["episodes"], unit=value["unit"], better=value["better"])
-
-
-def _column(cells: Sequence[str]) -> np.ndarray[Any, Any]:
+def _column(cells: Sequence[str]) -> np.ndarray:
     try:
         return np.array([float(cell) if cell else np.nan for cell in cells])
     except ValueError:

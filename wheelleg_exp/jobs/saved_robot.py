@@ -1,24 +1,21 @@
 """Save the simulated robot in a run directory, and load the robot from a run directory.
 
-A run's folder ``asset/`` contains the robot's MJCF, meshes, and conversion report, and networks of earlier runs.
-``asset.json`` contains the sha256 of each source file of the robot and of the compiled MuJoCo model.
+The folder ``asset/`` contains the robot's MJCF, meshes, and conversion report, and networks of earlier runs.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from wheelleg_exp.asset import CachedConversion
-from wheelleg_exp.asset.conversion_cache import MODEL
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.files import for_people, read_bytes, read_text, write_json, write_text
-from wheelleg_exp.paths import INITIAL, TEACHER
+from wheelleg_exp.files import read_bytes, read_text, write_json, write_text
 from wheelleg_exp.run.file_inventory import is_inside
 from wheelleg_exp.run.run_config import ROBOT, RobotIdentity, recorded_robot
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -45,8 +42,7 @@ def save_robot(directory: RunDirectory, asset: CachedConversion, source: str, mo
 
 
 def saved_mjcf(directory: RunDirectory) -> Path:
-    """Return the path of the robot's MJCF file in a run directory."""
-    # Raise an error for an MJCF element that wheelleg_exp's robot converter never writes.
+    """Return the robot's MJCF file; raise RunDirectoryError for an element that converted robots never have."""
     # An unknown MJCF element can make MuJoCo read arbitrary files, load libraries, or allocate any amount of memory.
     path = directory.asset / MJCF
     if not path.is_file():
@@ -66,22 +62,6 @@ def saved_mjcf(directory: RunDirectory) -> Path:
     return path
 
 
-def saved_model_digest(directory: RunDirectory) -> str:
-    """Return the digest (hash) of the MuJoCo model that the run compiled."""
-    return recorded_robot(directory).model_sha256
-
-
-def saved_sources(directory: RunDirectory) -> dict[str, str]:
-    """Return the sha256 of each source file of the run's robot, by its path in the robot's source folder."""
-    return dict(recorded_robot(directory).sources)
-
-
-def saved_networks(directory: RunDirectory) -> dict[str, Path]:
-    """Return the run's copies of its initial networks and of its teacher, by file name."""
-    named = {name: directory.asset / name for name in (TEACHER, INITIAL)}
-    return {name: path for name, path in named.items() if path.is_file()}
-
-
 def load_saved_robot(directory: RunDirectory) -> CachedConversion:
     """Load the converted robot that a run directory contains."""
     path = directory.asset / REPORT
@@ -89,16 +69,8 @@ def load_saved_robot(directory: RunDirectory) -> CachedConversion:
         report = Report.from_json(read_text(path))
     except (ValueError, RecursionError) as error:
         raise RunDirectoryError(f"the file is not a conversion report: {error}", key=str(path)) from error
-    return CachedConversion(saved_mjcf(directory), report, saved_sources(directory), key="", fresh=False)
-
-
-def copy_saved_robot(directory: RunDirectory, folder: Path) -> CachedConversion:
-    """Copy the converted robot of a run into a new folder, with the file layout that a conversion writes."""
-    saved = load_saved_robot(directory)
-    with for_people(folder):
-        shutil.copytree(directory.asset, folder)
-        (folder / saved.output.name).rename(folder / MODEL)
-    return replace(saved, output=folder / MODEL)
+    sources = dict(recorded_robot(directory).sources)
+    return CachedConversion(saved_mjcf(directory), report, sources, key="", fresh=False)
 
 
 def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:

@@ -1,9 +1,7 @@
-"""Run the jobs of a sweep through the queue of Slurm (with submitit) or of a Ray cluster.
+"""Run the jobs of a sweep through the queue of Slurm (with submitit) or of a Ray cluster, or on this machine.
 
-A sweep and its jobs exchange files in job folders, so all machines need a shared file system. The file ``request.json``
-in a job's folder describes the job. A job appends its events to its file ``events.jsonl``. The file ``stop`` in a job's
-folder asks the job to stop. The packages submitit and Ray are optional, and imported only when a launcher needs them.
-``LocalLauncher`` runs the jobs of a sweep on this machine, without a queue.
+A sweep and its jobs exchange files on a shared file system: ``request.json`` in a job's folder describes the job,
+``events.jsonl`` has its events, and ``stop`` asks it to stop. submitit and Ray are optional.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ import sys
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -36,7 +35,7 @@ _PATH = tuple(entry for entry in sys.path if Path(entry).exists())
 class QueueWorker:
     """Runs a sweep job on a machine of a cluster. A new ``QueueWorker`` can be pickled, because it has no attributes.
 
-    Environment variables that can change results come from the machine that started the sweep, not from the cluster.
+    Environment variables that can change results come from the machine that started the sweep.
     """
 
     _child: Child | None = None
@@ -70,7 +69,9 @@ class QueueWorker:
         asked = ""
         while not child.over():
             self._write_events(child, place, _WAIT_S)
-            wanted = _read_or_empty(place / STOP)
+            wanted = asked
+            with suppress(OSError):
+                wanted = (place / STOP).read_text(encoding="utf-8")
             if wanted != asked:
                 child.ask_to_stop() if wanted == SOON else child.interrupt()
                 asked = wanted
@@ -90,13 +91,6 @@ class QueueWorker:
             file.write(json.dumps(event) + "\n")
 
 
-def _read_or_empty(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError:
-        return ""
-
-
 class Ticket(Protocol):
     """The handle of a submitted job in a queue."""
 
@@ -111,10 +105,7 @@ class Ticket(Protocol):
 
 
 class QueuedJob:
-    """A job in a queue. The method ``events`` reads the file to which the job's ``QueueWorker`` writes.
-
-    ``ticket`` is None until the job is submitted. ``ended`` is the job's last event, or None before the job's end.
-    """
+    """A job in a queue, whose ``QueueWorker`` writes the file that ``events`` reads; ``ended`` is its last event."""
 
     def __init__(self, folder: Path, request: JobRequest) -> None:
         self.folder = folder.absolute()
@@ -240,10 +231,7 @@ _OTHER_SETTINGS = ("_target_", "submitit_folder", *_EXECUTOR_SETTINGS)
 
 
 class SubmititLauncher(Queue):
-    """Submits jobs through submitit, as hydra-submitit-launcher does: the jobs of one sweep are one Slurm array.
-
-    ``cluster`` is ``slurm`` or ``local``, and ``settings`` is the config section ``hydra.launcher``.
-    """
+    """Submits the jobs of a sweep as one array through submitit (``slurm`` or ``local``), as its Hydra plugin does."""
 
     def __init__(self, cluster: str, settings: Mapping[str, object], folder: Path) -> None:
         import submitit

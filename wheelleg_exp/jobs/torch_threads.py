@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -21,6 +24,7 @@ _NAMES = "off auto compatible sse2 5 ssse3 sse4_1 sse4_2 avx avx2 avx512_mic avx
 _BRANCHES = dict(enumerate(_NAMES.split(), start=1))
 _in_time: list[bool] = []  # An entry is False if environment variables were set too late, after torch was imported.
 
+_LIBRARY = re.compile("Math Kernel Library|MKL-DNN|oneDNN|OpenMP|LAPACK|OpenBLAS|Compute Library")
 _STRICT = 0x10000
 _EVERYTHING = -1
 _VECTOR_STEP = 32  # One step of a vector loop in torch computes 32 numbers, which are two AVX-512 vectors.
@@ -38,9 +42,8 @@ class Mkl(TypedDict):
 def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = None) -> dict[str, object]:
     """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
-    ``samples`` is the number of environment steps in one rollout; None if nothing is trained. In the returned
-    dictionary, ``independent`` is true if results do not depend on the thread count. ``dependent_because`` lists the
-    reasons if results depend on the thread count.
+    ``samples`` is the number of environment steps in one rollout; None if nothing is trained. ``independent`` is true
+    if results do not depend on the thread count; else ``dependent_because`` lists the reasons.
     """
     wanted = agent.torch_threads
     _in_time.append(prepare_threads())  # MKL and OpenMP read environment variables only at their first use.
@@ -66,10 +69,7 @@ def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = 
 def dependent_products(
     networks: Iterable[torch.nn.Module], agent: Learning, samples: int, threads: Mapping[str, Any]
 ) -> dict[str, object]:
-    """Return manifest entries that say why bfloat16 matrix products depend on the thread count, or {} if they do not.
-
-    ``samples`` is the number of environment steps in one rollout. ``set_threads`` returned ``threads``.
-    """
+    """Return manifest entries on bfloat16 products that depend on the thread count, or {} if they do not."""
     rows = max(1, _largest_mean(agent, samples))
     if threads["matmul"] != "bfloat16" or not products_depend_on_threads(networks, rows, int(threads["torch"])):
         return {}
@@ -88,10 +88,7 @@ def thread_notes(threads: Mapping[str, Any]) -> list[str]:
 
 
 def mkl_in_force() -> Mkl | None:
-    """Return MKL's code branch and whether MKL's strict mode is on; None if torch has no MKL.
-
-    After the first call of ``mkl_in_force``, changes of MKL's environment variables have no effect.
-    """
+    """Return MKL's branch and strict mode, which environment variables cannot change any more; None without MKL."""
     has_mkl: Callable[[], bool] = torch.backends.mkl.is_available  # torch does not annotate this function.
     if not has_mkl():
         return None
@@ -110,8 +107,9 @@ def numerics() -> dict[str, object]:
     with np.errstate(all="ignore"):
         to_nearest = one + 2.0**-53 == one and -one - 2.0**-53 == -one and one + 2.0**-52 * 0.75 > one
         keeps_tiny = tiny * one > 0.0
+    lines = [line.strip(" -") for line in torch.__config__.show().splitlines()]
     return {
-        "libraries": _libraries(),
+        "libraries": [line for line in lines if _LIBRARY.search(line) and not line.startswith("Build settings")],
         "mkldnn": has_onednn() and torch.backends.mkldnn.enabled,
         "matmul_precision": torch.get_float32_matmul_precision(),
         "default_dtype": str(torch.get_default_dtype()).removeprefix("torch."),
@@ -119,13 +117,6 @@ def numerics() -> dict[str, object]:
         "rounds_to_nearest": bool(to_nearest),
         "keeps_denormals": bool(keeps_tiny) and (torch.tensor(1e-40) * 1.0).item() > 0.0,
     }
-
-
-def _libraries() -> list[str]:
-    """Return the versions of torch's libraries: MKL, oneDNN, OpenMP, BLAS."""
-    lines = [line.strip(" -") for line in torch.__config__.show().splitlines()]
-    words = ("Math Kernel Library", "MKL-DNN", "oneDNN", "OpenMP", "LAPACK", "OpenBLAS", "Compute Library")
-    return [line for line in lines if any(word in line for word in words) and not line.startswith("Build settings")]
 
 
 def _largest_mean(agent: Learning, samples: int | None) -> int:
@@ -141,18 +132,15 @@ def _uneven_activations(agent: Learning, samples: int | None, threads: int) -> l
     batches = {samples // agent.num_steps_per_env, _largest_mean(agent, samples)}
     elus = [section for section in agent.networks.values() if str(section.get("activation", "elu")) == "elu"]
     layers = {int(width) for section in elus for width in section.get("hidden_dims") or ()}
-    pairs = [(rows, width) for rows in sorted(batches) for width in sorted(layers)]
-    uneven = [f"{rows} x {width}" for rows, width in pairs if _splits(rows * width, threads)]
+    uneven = []
+    for rows, width in product(sorted(batches), sorted(layers)):
+        parts = min(threads, math.ceil(rows * width / SPLIT_ABOVE))  # torch splits an array into chunks of equal size.
+        if parts > 1 and math.ceil(rows * width / parts) % _VECTOR_STEP != 0:
+            uneven.append(f"{rows} x {width}")
     if not uneven:
         return []
     text = f"torch splits the activations of {', '.join(uneven)} numbers into {threads} parts that end "
     return [text + "within a vector; 1, 2, 4 or 8 threads and a multiple of 32 environments do not"]
-
-
-def _splits(numbers: int, threads: int) -> bool:
-    """Return whether torch splits an array of ``numbers`` values into chunks whose size is not a multiple of 32."""
-    parts = min(threads, -(-numbers // SPLIT_ABOVE))
-    return parts > 1 and -(-numbers // parts) % _VECTOR_STEP != 0
 
 
 def _thread_dependence(mkl: Mkl | None, device: str, largest_mean: int) -> list[str]:

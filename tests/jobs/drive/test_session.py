@@ -25,9 +25,9 @@ def drive(session, seconds):
 
 
 def test_only_axes_with_a_range_can_be_driven_and_the_first_observation_shows_rest(tmp_path):
-    session, ranges = cart(tmp_path), "env.commands.base_velocity.ranges"
-    axes = [("lin_vel_x", -0.4, 0.4, f"{ranges}.lin_vel_x"), ("ang_vel_z", -0.5, 1.0, f"{ranges}.ang_vel_z")]
-    assert [(a.name, a.low, a.high, a.key) for a in session.axes] == axes
+    session, term = cart(tmp_path), "base_velocity"
+    axes = [Axis("lin_vel_x", term, "lin_vel_x", -0.4, 0.4), Axis("ang_vel_z", term, "ang_vel_z", -0.5, 1.0)]
+    assert session.axes == axes
     assert session.env.observation_manager.obs_buf["policy"].tolist() == [[0.0, 0.0, 0.0]]
 
 

@@ -1,20 +1,16 @@
 """Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
 
-A command axis is one component of the robot's command, such as the forward speed, with a range of values. Keyboard
-keys, sliders, and drive scripts can set commands from any thread. Before each control step, the simulation thread reads
-the commands.
+A command axis is one component of the robot's command, such as the forward speed, with a range of values.
 """
 
 from __future__ import annotations
 
 import threading
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.sim.timers import forget
 
 
@@ -27,11 +23,6 @@ class Axis:
     component: str
     low: float
     high: float
-
-    @property
-    def key(self) -> str:
-        """The config key of this command's range, such as ``env.commands.<term>.ranges.lin_vel_x``."""
-        return f"env.commands.{self.term}.ranges.{self.component}"
 
     @property
     def rest(self) -> float:
@@ -49,23 +40,8 @@ class Axis:
         return min(max(value, self.low), self.high)
 
 
-def command_axes(env: ManagerBasedRLEnv) -> list[Axis]:
-    """Return the command axes of an environment, in the order of its command terms, without axes of empty range."""
-    found = [
-        (term, component, float(pair[0]), float(pair[1]))
-        for term in env.command_manager.active_terms
-        for component, pair in getattr(env.command_manager.get_term(term), "ranges", {}).items()
-        if isinstance(env.command_manager.get_term(term), RangedCommand) and pair[0] < pair[1]
-    ]
-    times = Counter(component for _, component, *_ in found)
-    return [Axis(f"{t}.{c}" if times[c] > 1 else c, t, c, low, high) for t, c, low, high in found]
-
-
 class CommandHold:
-    """Keeps an environment's commands at given values, even when the environment resets or resamples its commands.
-
-    A command of 0.5, for example, gets the range [0.5, 0.5], so that resampling gives 0.5 again.
-    """
+    """Keeps an environment's commands at given values with ranges such as [0.5, 0.5], also after it resamples them."""
 
     def __init__(self, env: ManagerBasedRLEnv, axes: list[Axis]) -> None:
         self._env, self._axes = env, axes
@@ -103,10 +79,7 @@ class Reset:
 
 @dataclass(frozen=True)
 class Choose:
-    """A user's request to load another checkpoint or policy, or to simulate another ground; None means no change.
-
-    Another policy takes over the robot in its present state and on its present ground.
-    """
+    """A request for another checkpoint or ground, or for another policy, which takes over the robot as it stands."""
 
     checkpoint: Path | None = None
     scene: str | None = None  # ``own`` (the training's ground), or a config name in Hydra's group ``scene``
@@ -123,10 +96,7 @@ Request = RobotRequest | Choose | Finish
 
 
 class Controls:
-    """The current commands and the pending requests of the user who drives the robot.
-
-    All methods are thread-safe. ``speed`` is the number of simulated seconds per second of real time.
-    """
+    """The user's commands and pending requests; thread-safe. ``speed`` is simulated seconds per second of real time."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self.axes = {axis.name: axis for axis in axes}

@@ -1,6 +1,6 @@
 """Show a drive in the browser: the robot, sliders, keys and gamepads, and figures. viser and mjviser draw the page.
 
-The drive page's web server listens only on the loopback address, and refuses connections from all other web pages.
+The server listens only on the loopback address, and refuses connections from all other web pages.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import math
 import re
 import socket
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import ExitStack, redirect_stdout
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack, redirect_stdout, suppress
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -40,24 +40,21 @@ def require_free(port: int, use: str) -> None:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((LOOPBACK, port))
     except OverflowError as error:
-        raise _port_error(f"the port {port} for {use} is not a valid TCP port", "0 to 65534") from error
+        message = f"the port {port} for {use} is not a valid TCP port"
+        raise WheellegError(message, key="--port", expected="0 to 65534") from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise port_in_use(port, use) from error
+            raise _port_in_use(port, use) from error
         why = "it is reserved for system services" if error.errno == errno.EACCES else f"{error.strerror}"
-        raise _port_error(f"port {port} for {use} cannot be opened: {why}", _OTHER_PORT) from error
-
-
-def port_in_use(port: int, use: str) -> WheellegError:
-    """Return the error for a TCP port that is already in use."""
-    return _port_error(f"port {port}, for {use}, is in use", _OTHER_PORT)
+        message = f"port {port} for {use} cannot be opened: {why}"
+        raise WheellegError(message, key="--port", expected=_OTHER_PORT) from error
 
 
 _OTHER_PORT = "another port, such as --port 8123, or --port 0 for any that is free"
 
 
-def _port_error(message: str, expected: str) -> WheellegError:
-    return WheellegError(message, key="--port", expected=expected)
+def _port_in_use(port: int, use: str) -> WheellegError:
+    return WheellegError(f"port {port}, for {use}, is in use", key="--port", expected=_OTHER_PORT)
 
 
 _GOOD, _BAD, _PLAIN = "#2f9e44", "#e03131", "#1c7ed6"
@@ -148,9 +145,9 @@ _MAX_MESSAGE = 1024  # bytes of a message
 class InputServer:
     """Receives key and gamepad input from web pages in a browser on this machine.
 
-    When a web page disconnects, the commands that the page has set return to their neutral values. ``origins`` are the
-    web origins that the server accepts, such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of the robot
-    when the push key is pressed, m/s. ``next_policy`` takes over when the key for getting up is pressed.
+    When a web page disconnects, its commands return to their neutral values. ``origins`` are the accepted web origins,
+    such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of a push, m/s. ``next_policy`` takes over when
+    the key for getting up is pressed.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:
@@ -164,10 +161,7 @@ class InputServer:
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self, title: str, help: str) -> str:
-        """Return the JavaScript that sends key and gamepad input from the web page to the ``InputServer``.
-
-        The JavaScript also sets the page's title, and shows the HTML ``help`` over the robot.
-        """
+        """Return the JavaScript that sends key and gamepad input, and shows the page's title and the HTML ``help``."""
         port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
@@ -190,7 +184,7 @@ class InputServer:
         self._server.shutdown()
         self._thread.join()
 
-    def press(self, name: str) -> None:
+    def press(self, name: object) -> None:
         """Carry out the action of the keyboard key ``name``; a key without an action has no effect."""
         controls = self.controls
         if name == "pause":
@@ -208,28 +202,23 @@ class InputServer:
         elif name == "get_up" and self.next_policy is not None:
             controls.request(Choose(policy=self.next_policy))
 
-    def _listen(self, connection: Any) -> None:
+    def _listen(self, connection: Iterable[str | bytes]) -> None:
         steered: set[str] = set()
         try:
             for message in connection:
-                self._take(message, steered)
+                said = None
+                with suppress(Unreadable):
+                    said = json_value(message)
+                said = said if isinstance(said, dict) else {}
+                axis, share = said.get("steer"), said.get("share")
+                if isinstance(axis, str) and isinstance(share, (int, float)):
+                    steered.add(axis)
+                    self.controls.steer(axis, float(share))
+                else:
+                    self.press(said.get("press"))
         finally:
             for axis in steered:
                 self.controls.steer(axis, 0.0)
-
-    def _take(self, message: str | bytes, steered: set[str]) -> None:
-        try:
-            said = json_value(message)
-        except Unreadable:
-            return
-        if not isinstance(said, dict):
-            return
-        axis, share = said.get("steer"), said.get("share")
-        if isinstance(axis, str) and isinstance(share, (int, float)):
-            steered.add(axis)
-            self.controls.steer(axis, float(share))
-        elif isinstance(said.get("press"), str):
-            self.press(said["press"])
 
 
 # The camera starts at this offset from the robot, in radii of the robot, with this vertical field of view in rad.
@@ -269,7 +258,7 @@ class DrivePage:
             self._server = self._server_class(host=LOOPBACK, port=self._port, label="wheelleg_exp", verbose=False)
         self._stack.callback(self._stop)
         if self._port not in (0, self._server.get_port()):
-            raise port_in_use(self._port, "the page")
+            raise _port_in_use(self._port, "the page")
         origins = [f"http://{host}:{self._server.get_port()}" for host in (LOOPBACK, "localhost")]
         # Reject connections from other web pages, because any page in a browser can try to connect to this server.
         own = self._server._websock_server
@@ -296,10 +285,7 @@ class DrivePage:
     def open(
         self, session: DriveSession, choice: Choose, options: Mapping[str, Any], checkpoints: Sequence[Path]
     ) -> str:
-        """Show the driven robot, its ground, and sliders for commands on a web page, and return the page's URL.
-
-        ``options`` is the section ``drive`` of the config.
-        """
+        """Show the robot and its controls, and return the page's URL; ``options`` is the config section ``drive``."""
         self._session, self._hands.push = session, float(options["push"])
         session.controls.paused, session.controls.speed = self._hands.controls.paused, self._hands.controls.speed
         self._checkpoints = {path.stem: path for path in checkpoints}
@@ -337,7 +323,9 @@ class DrivePage:
             speed.on_click(lambda _: setattr(controls, "speed", float(speed.value)))
             gui.add_button("Reset", hint="r").on_click(lambda _: controls.request(Reset()))
             pushes = gui.add_button_group("Push", tuple(_PUSHES))
-            pushes.on_click(lambda _: controls.request(self._push_to(pushes.value)))
+            pushes.on_click(
+                lambda _: controls.request(Push(*(self._hands.push * way for way in _PUSHES[pushes.value])))
+            )
         with gui.add_folder("Rewards, per second"):
             self._rewards = gui.add_html("")
         with gui.add_folder("What is driven"):
@@ -359,7 +347,10 @@ class DrivePage:
         mujoco.mj_kinematics(self._scene.mj_model, self._data)
         with self._server.atomic():
             self._scene.update_from_mjdata(self._data)
-            self._move_ground()
+            for geom, handle in self._grounds.items():  # Move the tiles by whole patterns, so that they have no end.
+                axes, place = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
+                offset = (self._data.qpos[:3] - place) @ axes
+                handle.position = place + axes[:, :2] @ (offset - offset % self._pattern)[:2]
             self._state.content = state_html(status, self._controls, env.step_dt)
             self._rewards.content = reward_bars_html(status.rewards)
             for name, value in status.commands.items():
@@ -400,20 +391,9 @@ class DrivePage:
         share = np.linspace(0.0, 8.0, 64).clip(max=1.0)[:, None, None]  # The horizon is near the upper edge.
         scene.set_background_image(((1.0 - share) * _SKY + share * _HORIZON).astype(np.uint8), format="png")
 
-    def _move_ground(self) -> None:
-        """Move the tiles with the robot, by whole patterns, so that the ground has no visible end."""
-        for geom, handle in self._grounds.items():
-            axes, place = self._data.geom_xmat[geom].reshape(3, 3), self._data.geom_xpos[geom]
-            offset = (self._data.qpos[:3] - place) @ axes
-            handle.position = place + axes[:, :2] @ (offset - offset % self._pattern)[:2]
-
     def _stop(self) -> None:
         with redirect_stdout(io.StringIO()):
             self._server.stop()
-
-    def _push_to(self, way: str) -> Push:
-        x, y = _PUSHES[way]
-        return Push(self._hands.push * x, self._hands.push * y)
 
     def _slider(self, name: str) -> Any:
         axis, add = self._controls.axes[name], self._server.gui.add_slider

@@ -1,8 +1,8 @@
-"""Read a drive script (timed commands for a simulated robot), and write a finished drive as a drive script.
+"""Read a drive script, and write a finished drive as a drive script.
 
-A drive script is a YAML list of timed entries that contain commands and requests. Each entry starts at ``at`` (default:
-the end of the previous entry) and lasts for ``for`` (default: 0), both in simulated seconds. A command keeps its value
-until a later entry of the drive script changes the value.
+A drive script is a YAML list of timed entries with commands and requests. Each entry starts at ``at`` (default: the end
+of the previous entry) and lasts for ``for`` (default: 0), in simulated seconds. A command keeps its value until a later
+entry changes it.
 """
 
 from __future__ import annotations
@@ -69,10 +69,7 @@ class ScriptPlayer:
 
 
 def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Script:
-    """Read a drive script. For an unknown key or an out-of-range value, ConfigError names the line of the script.
-
-    ``jumps`` tells whether the task commands jumps; otherwise ``jump`` is an unknown key.
-    """
+    """Read a drive script; ConfigError names its wrong line. Without ``jumps``, ``jump`` is an unknown key."""
     actions = [name for name in _ACTIONS if jumps or name != "jump"]
     text = read_text(path)
     try:
@@ -119,13 +116,11 @@ def _entry(
 ) -> tuple[Entry, float]:
     """Parse one entry of a drive script; return the entry and the simulated time (s) at which it ends."""
     for key in item:
-        if key not in (*_TIMES, *actions, *axes):
-            names = [*_TIMES, *axes, *actions]
-            message = "unknown key in a script"
-            expected = "one of " + ", ".join(names)
-            raise ConfigError(
-                message, key=str(key), where=place.of(key), expected=expected, nearest=nearest_name(str(key), names)
-            )
+        names = [*_TIMES, *axes, *actions]
+        if key not in names:
+            expected, nearest = "one of " + ", ".join(names), nearest_name(str(key), names)
+            message, where = "unknown key in a script", place.of(key)
+            raise ConfigError(message, key=str(key), where=where, expected=expected, nearest=nearest)
     at = _seconds(item, "at", place, default=end)
     if at < before:
         message = f"{at:g} s is before the command above"
@@ -143,7 +138,7 @@ def _seconds(item: Mapping[str, object], key: str, place: _Place, *, default: fl
 
 
 def _value(axis: Axis, value: object, place: _Place) -> float:
-    expected = f"a number from {axis.low:g} to {axis.high:g} ({axis.key})"
+    expected = f"a number from {axis.low:g} to {axis.high:g} (env.commands.{axis.term}.ranges.{axis.component})"
     if not _is_number(value):
         raise ConfigError(f"{value!r} is not a number", key=axis.name, where=place.of(axis.name), expected=expected)
     if not axis.low <= value <= axis.high:

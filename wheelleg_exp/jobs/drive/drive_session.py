@@ -14,19 +14,11 @@ from tensordict import TensorDict
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import (
-    Axis,
-    CommandHold,
-    Controls,
-    Jump,
-    Push,
-    Reset,
-    RobotRequest,
-    command_axes,
-)
+from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Jump, Push, Reset, RobotRequest
 from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.mdp.commands import JumpCommand
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.sim.scene import RobotState
 
@@ -43,8 +35,7 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 class DriveMeter:
     """Computes the metrics of a robot that a user drives, step by step; ``definitions.drive`` defines each metric.
 
-    ``height_m`` is the height of the robot's root link above the ground in the last control step, m. ``measured`` holds
-    the measured value of each axis that can be measured: m/s, rad/s, m and rad.
+    ``height_m`` is the height of the root link above the ground, m, and ``measured`` the value of each measurable axis.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
@@ -132,10 +123,8 @@ class Status:
 class DriveSession:
     """A simulated robot that a user drives. After an episode ends, the simulation waits for a call of ``reset``.
 
-    ``start`` is the state in which the robot starts (``scene.get_state()``); None for a reset.
-
-    ``jumps`` are the commands for jumps. ``driven`` is the log of the user's commands and requests. ``fallen``
-    describes how the episode ended, and is None while the episode runs.
+    ``start`` is the state of the robot at the start; None for a reset. ``jumps`` are the commands for jumps, and
+    ``driven`` is the log of commands and requests. ``fallen`` describes how the episode ended; None while it runs.
     """
 
     def __init__(
@@ -146,16 +135,23 @@ class DriveSession:
         self._adapter, self._policy = adapter, policy
         self.env: ManagerBasedRLEnv = adapter.env
         self.env.autoreset = "disabled"
-        self.axes: list[Axis] = command_axes(self.env)
+        manager = self.env.command_manager
+        terms = {name: manager.get_term(name) for name in manager.active_terms}
+        # The axes of the commands, in the order of the terms, without axes of empty range.
+        ranged = ((name, term.ranges) for name, term in terms.items() if isinstance(term, RangedCommand))
+        pairs = ((name, part, pair) for name, parts in ranged for part, pair in parts.items())
+        found = [(name, part, float(pair[0]), float(pair[1])) for name, part, pair in pairs if pair[0] < pair[1]]
+        times = Counter(part for _, part, *_ in found)
+        self.axes = [
+            Axis(f"{t}.{part}" if times[part] > 1 else part, t, part, low, high) for t, part, low, high in found
+        ]
         self.controls = Controls(self.axes)
         self._hold = CommandHold(self.env, self.axes)
         self.driven = DriveLog(self.env.step_dt)
         self.meter = DriveMeter(self.env, self.axes)
         self.steps = 0
         self.fallen: str | None = None
-        manager = self.env.command_manager
-        terms = [manager.get_term(name) for name in manager.active_terms]
-        self.jumps = [term for term in terms if isinstance(term, JumpCommand)]
+        self.jumps = [term for term in terms.values() if isinstance(term, JumpCommand)]
         for term in self.jumps:
             term.share = 0.0  # The user starts the jumps.
         self._hold(self.controls.values)
@@ -185,10 +181,7 @@ class DriveSession:
             self.meter.ended(self.fallen)
 
     def obey(self, request: RobotRequest) -> None:
-        """Carry out a request of the user; ignore a jump if the task has no command for jumps.
-
-        After the robot has fallen, ignore every request except ``Reset``.
-        """
+        """Carry out a request of the user. After the robot has fallen, only ``Reset`` has an effect."""
         if self.fallen is not None:
             if isinstance(request, Reset):
                 self.reset()

@@ -1,8 +1,4 @@
-"""Drive a trained robot: in real time in the browser, or from a script as fast as it computes.
-
-In a drive, a user steers one simulated robot on the ground of the training or on a chosen ground. The robot is pushed
-only when the user requests a push. The recording of each drive is saved in the run directory.
-"""
+"""Drive one trained robot: in real time in the browser, or from a script as fast as it computes."""
 
 from __future__ import annotations
 
@@ -65,10 +61,9 @@ def _robot(run: RunDirectory) -> tuple[bytes, object]:
 def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = None) -> Tree:
     """Return the config of ``wheelleg play``, changed so that a user can drive the robot.
 
-    ``drivable`` sets one environment and episodes of ``drive.episode_length_s`` seconds, and removes the curriculum.
-    Events, such as pushes, happen only at startup and reset. Heading control and random zero commands are switched off.
-    ``scene`` names the scene config whose ground is simulated; ``own`` selects the ground of the training.
-    ``handed_over`` is the config of the scene in which a policy takes over the robot from another policy.
+    It has one environment, episodes of ``drive.episode_length_s`` seconds, no curriculum, events only at startup and
+    reset, and no heading control or random zero commands. ``scene`` names the scene config whose ground is simulated;
+    ``own`` is that of the training. ``handed_over`` is the config of the scene in which a policy takes over the robot.
     """
     tree = copy.deepcopy(tree)
     env = tree["env"]
@@ -168,11 +163,9 @@ def drive(
 ) -> list[Drive]:
     """Simulate the driven robot until the user finishes.
 
-    If the user chooses another checkpoint or ground, the robot is reset. If the user chooses another policy of
-    ``others``, this policy takes over the robot in its present state.
-
-    Without ``view``, the YAML file ``request.script`` must list timed commands, which are simulated as fast as
-    possible. With ``view``, the commands of ``request.script`` are applied in real time before the user takes control.
+    Another checkpoint or ground resets the robot; another policy of ``others`` takes over the robot in its present
+    state. Without ``view``, the commands of the file ``request.script`` are simulated as fast as possible. With
+    ``view``, they are applied in real time before the user takes control.
     """
     drives: list[Drive] = []
     first = request
@@ -203,17 +196,11 @@ def _drive_one(
     view: DrivePage | None,
     stop: StopRequest,
 ) -> tuple[Drive, _End | None]:
-    """Simulate a driven robot; if the user chose a new checkpoint, policy, or ground, also return this choice.
-
-    ``before`` is the drive from which the policy takes over the robot; None for a reset.
-    """
+    """Simulate one drive, which can take over the robot from ``before``; return it, and the user's next choice."""
     scene = pick.scene or OWN_GROUND
-    # If the name of the scene is unknown, raise ConfigError.
-    known = scenes()
-    if scene not in known:
-        message = f"unknown ground '{scene}'"
-        expected = "one of " + ", ".join(known)
-        raise ConfigError(message, key="--scene", expected=expected, nearest=nearest_name(scene, known))
+    if scene not in (known := scenes()):
+        expected, nearest = "one of " + ", ".join(known), nearest_name(scene, known)
+        raise ConfigError(f"unknown ground '{scene}'", key="--scene", expected=expected, nearest=nearest)
     state, around = (None, None) if before is None else (before.state, before.scene)
     prepared = prepare_policy(
         request.run, pick.checkpoint, request.overrides, display, lambda tree: drivable(tree, scene, around)
@@ -291,7 +278,10 @@ class _Driver:
                 self._session.step()
                 if self._hand is not None and self._view is None:
                     self._display.steps(self._session.steps, self._hand.last_step)
-            self._keep_time()
+            if self._pace is not None and self._view is not None:
+                if self._pace.is_frame_due():
+                    self._view.show(self._session.status())
+                self._pace.wait(self._controls.speed)
         return None
 
     def _requests(self) -> list[Request]:
@@ -304,10 +294,3 @@ class _Driver:
             return self._stop.requested
         self._stop.check()
         return self._hand is None or self._session.steps >= self._hand.last_step
-
-    def _keep_time(self) -> None:
-        if self._pace is None or self._view is None:
-            return
-        if self._pace.is_frame_due():
-            self._view.show(self._session.status())
-        self._pace.wait(self._controls.speed)

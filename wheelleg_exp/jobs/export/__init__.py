@@ -1,5 +1,1 @@
-"""Export a trained policy as a bundle: one folder that runs without this package.
-
-``export_bundle`` is the job. The package ``bundle`` contains the Python programs that are copied into each exported
-folder.
-"""
+"""Export a policy as a folder that runs without this package; ``bundle`` has the programs that are copied into it."""

@@ -9,7 +9,7 @@ import io
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,7 @@ def recorded_episodes(
     ``policy`` controls the robot with actions computed in float64; ``trained`` computes them in float32, as in
     training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width);
     ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions,
-    velocities, efforts of all joints.
+    velocities, efforts.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray | np.bool_]] = {}
@@ -116,8 +116,8 @@ int main(void) {
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
     """Return each policy file's largest difference from ``check.npz``, and a note if no C compiler is installed.
 
-    ``torchscript``, ``onnx`` and ``header`` are the contents of ``policy.pt``, ``policy.onnx`` and ``policy.h``. If a
-    policy file's outputs differ from ``check.npz`` by more than the tolerance, raise SimulationFailure.
+    The texts are those of ``policy.pt``, ``policy.onnx``, and ``policy.h``. A difference beyond the tolerance raises
+    SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz").items())
@@ -146,7 +146,11 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
     if compiler is None:
         return {}, [f"policy.h, which was not compared: there is no C compiler ({', '.join(_COMPILERS)})"]
     names = ("reset", *(name for name in recorded if name.startswith(READING)), "observations", "actions")
-    rows, wanted = (_rows(recorded, columns) for columns in (names, ("observations", "actions", "targets")))
+    steps, outputs = len(recorded["reset"]), ("observations", "actions", "targets")
+    rows, wanted = (
+        np.concatenate([recorded[name].reshape(steps, -1) for name in columns], axis=1, dtype=np.float32)
+        for columns in (names, outputs)
+    )
     found = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-header-") as folder:
         for name, text in (("policy.h", header), ("main.c", _MAIN)):
@@ -162,8 +166,3 @@ def _compare_header(header: str, recorded: Mapping[str, np.ndarray]) -> tuple[di
             values = np.frombuffer(said.stdout, np.float32).reshape(wanted.shape) if whole else np.inf
             found[f"c_{real}"] = runner.largest_difference(values, wanted)
     return found, []
-
-
-def _rows(recorded: Mapping[str, np.ndarray], names: Iterable[str]) -> np.ndarray:
-    """Join the recorded arrays ``names`` (T, ...) into one float32 matrix with one row per control step."""
-    return np.concatenate([recorded[name].reshape(len(recorded["reset"]), -1) for name in names], 1, dtype=np.float32)

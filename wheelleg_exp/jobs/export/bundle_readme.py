@@ -152,7 +152,9 @@ def readme(spec: PolicyJson, files: Sequence[str], notes: Sequence[str]) -> str:
         if spec["network"]["normalized"]
         else "",
         "## Actions",
-        _clipped(spec["clip_actions"]),
+        "The network's output is not clipped; as `last_action` the policy sees it unchanged."
+        if (bound := spec["clip_actions"]) is None
+        else f"The network's output is clipped to ±{bound:g} first; as `last_action` the policy sees it clipped.",
         _table(("action", "joint", "drives", "target"), [*_actions(spec["actions"])]),
         "A joint that no action drives keeps its default position, velocity 0 and effort 0 as targets. Drives hold a "
         "target for the whole control step: torque = stiffness (position - q) + damping (velocity - q̇) + effort, "
@@ -221,12 +223,6 @@ def _observations(groups: Sequence[ObservationGroup]) -> list[str]:
         head = ("term", "value", "of", "width", "samples", "clip", "scale")
         lines += [f"Group `{group['name']}`: {order}.", _table(head, rows)]
     return lines
-
-
-def _clipped(bound: float | None) -> str:
-    if bound is None:
-        return "The network's output is not clipped; as `last_action` the policy sees it unchanged."
-    return f"The network's output is clipped to ±{bound:g} first; as `last_action` the policy sees it clipped."
 
 
 def _actions(actions: Sequence[ActionTerm]) -> Iterable[tuple[object, ...]]:

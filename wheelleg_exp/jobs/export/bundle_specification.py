@@ -1,12 +1,10 @@
 """Describe a policy in ``policy.json``: everything between sensor readings and joint targets, as numbers.
 
-``policy.json`` describes the action terms of a policy, the drive of each joint, and the policy's network. If the
-exported ``runner.py`` cannot compute a term or a network, ConfigError names this term or network.
+If the exported ``runner.py`` cannot compute a term or a network, ConfigError names this term or network.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, get_args
 
@@ -15,27 +13,14 @@ import numpy as np
 import torch
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
-from tensordict import TensorDict
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export import policy_json
 from wheelleg_exp.jobs.export.bundle.runner import projected_gravity
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, observation_specs, reading, readings_of
-from wheelleg_exp.jobs.export.policy_json import (
-    ActionLaw,
-    ActionTerm,
-    Drive,
-    Limits,
-    Network,
-    PerJoint,
-    Robot,
-    Rule,
-    Safety,
-    Specification,
-    Upright,
-)
-from wheelleg_exp.jobs.export.policy_json import Imu as ImuPose
+from wheelleg_exp.jobs.export.policy_json import ActionLaw, ActionTerm, Drive, Limits, Robot
 from wheelleg_exp.mdp import actions
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.actuators.actuator_base import ActuatorBase
@@ -85,7 +70,7 @@ def drive_law(group: ActuatorBase) -> str | None:
     return _DRIVE_LAWS.get(type(group))
 
 
-def per_joint(env: ManagerBasedRLEnv, drives: list[Drive]) -> PerJoint:
+def per_joint(env: ManagerBasedRLEnv, drives: list[Drive]) -> policy_json.PerJoint:
     """Return the drive gains, limits, and mechanical properties of every joint, in the robot's joint order.
 
     The drive gains of a joint without a drive are 0. ``inertia`` is the inertia of the bodies that a joint moves, about
@@ -228,7 +213,7 @@ def require_perceptron(section: Mapping[str, Any], key: str) -> None:
         raise ConfigError(message, key=f"{key}.distribution_cfg.class_name", expected=expected)
 
 
-def network_arrays(policy: MLPModel, role: str) -> tuple[Network, dict[str, np.ndarray]]:
+def network_arrays(policy: MLPModel, role: str) -> tuple[policy_json.Network, dict[str, np.ndarray]]:
     """Return the description of a perceptron, and its arrays by name: float32, the deviation float64."""
     arrays: dict[str, np.ndarray] = {}
     if policy.obs_normalization:
@@ -248,7 +233,7 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[Network, dict[str, np.n
             expected = "one of elu, relu, lrelu, selu, tanh, sigmoid, softplus, swish, identity"
             raise ConfigError(message, key=f"agent.{role}.activation", expected=expected)
     widths = [arrays[f"bias_{k}"].size for k in range(len(activations))]
-    about: Network = {
+    about: policy_json.Network = {
         "file": "policy.npz",
         "dtype": "float32",
         "widths": widths,
@@ -256,13 +241,6 @@ def network_arrays(policy: MLPModel, role: str) -> tuple[Network, dict[str, np.n
         "normalized": bool(policy.obs_normalization),
     }
     return about, arrays
-
-
-def in_float64(policy: MLPModel) -> Callable[[TensorDict], torch.Tensor]:
-    """Return a function that computes a network's mean action (N, A) in float64 and rounds the result to float32."""
-    # In float32, torch and NumPy would give different actions, because they round sums differently.
-    precise = copy.deepcopy(policy).double()
-    return lambda observations: precise(observations.double()).float()
 
 
 def _array(values: torch.Tensor) -> np.ndarray:
@@ -274,7 +252,7 @@ FORMAT_VERSION = 1
 
 def specification(
     env: ManagerBasedRLEnv, agent: Mapping[str, Any], ranges: Mapping[str, Mapping[str, list[float]]]
-) -> Specification:
+) -> policy_json.Specification:
     """Return the content of ``policy.json`` for an environment and its agent, without the network.
 
     Lists such as ``stiffness`` have one value per joint, in the order of ``joint_names``; a null limit means no limit.
@@ -333,11 +311,8 @@ _STILL, _SLOW = {"ang_vel": 0.2, "joint_vel": 0.5}, {"ang_vel": 4.0, "joint_vel"
 _POSITION_MARGIN, _VELOCITY_FACTOR = 0.2, 2.0  # rad beyond the joint limits; times the velocity or effort limit
 
 
-def safety(env: ManagerBasedRLEnv, spec: Robot) -> Safety:
-    """Return the section ``safety`` of ``policy.json``: the numbers of ``Policy.update`` in ``runner.py``.
-
-    Lists have one value per component of a reading. A null bound means that the bound does not exist.
-    """
+def safety(env: ManagerBasedRLEnv, spec: Robot) -> policy_json.Safety:
+    """Return the section ``safety`` of ``policy.json``, with one value per component of a reading; null: no bound."""
     angles = [node["limit_angle"] for node in env.cfg["terminations"].values() if node and "limit_angle" in node]
     angle, fall = min(angles, default=_FALL_ANGLE), _upright(spec)
     return {
@@ -354,7 +329,7 @@ def safety(env: ManagerBasedRLEnv, spec: Robot) -> Safety:
     }
 
 
-def _upright(spec: Robot) -> Upright | None:
+def _upright(spec: Robot) -> policy_json.Upright | None:
     """Return the reading that shows the base's tilt, and its value when the base is upright; None without such one."""
     if "projected_gravity" in spec["readings"] and spec["root"]["floating"]:
         return {"reading": "projected_gravity", "upright": [0.0, 0.0, -1.0]}
@@ -364,11 +339,11 @@ def _upright(spec: Robot) -> Upright | None:
     return None
 
 
-def _plausible(name: str, spec: Robot) -> Rule:
+def _plausible(name: str, spec: Robot) -> policy_json.Rule:
     """Return the checks of one reading: its kind, its bounds, its largest jump in a control step, and slow values."""
     width, kind = spec["readings"][name]["width"], name.rpartition(".")[2].removeprefix("base_")
     speeds = spec["velocity_limit"]
-    rule: Rule = {
+    rule: policy_json.Rule = {
         "check": "bounds",
         "low": [None] * width,
         "max_jump": [None] * width,
@@ -401,10 +376,7 @@ def _plausible(name: str, spec: Robot) -> Rule:
 
 
 def _rolling(limits: list[Limits], stiffness: Limits, actions: list[ActionTerm]) -> list[int]:
-    """Return the joints whose positions count from the reset: without limits, and not driven to an absolute position.
-
-    A wheel's encoder does not count turns of the wheel. In training, wheels start episodes at their default positions.
-    """
+    """Return the wheels, whose positions count from the reset: joints without limits and without absolute targets."""
     driven = {i: term["function"] for term in actions if term["drives"] == "position" for i in term["joint_ids"]}
     free = [i for i, pair in enumerate(limits) if pair == [None, None]]
     return [i for i in free if driven.get(i, "absolute" if stiffness[i] else "relative") == "relative"]
@@ -420,9 +392,9 @@ def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Lim
     return found
 
 
-def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, ImuPose]:
+def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, policy_json.Imu]:
     """Return the pose of each IMU whose readings the policy observes."""
-    found: dict[str, ImuPose] = {}
+    found: dict[str, policy_json.Imu] = {}
     for name, sensor in env.scene.sensors.items():
         if isinstance(sensor, Imu) and any(reading.rpartition(".")[0] == name for reading in readings):
             pos, quat = sensor._offset_pos.tolist(), sensor._offset_quat.tolist()

@@ -1,18 +1,18 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
-The header is generated from ``policy.json`` and the network's arrays: fixed numbers become constants, and memory
-becomes a struct. In the C code, ``r`` points to sensor readings, ``s`` to the policy's state, and ``v`` to the values
-of an observation term.
+Fixed numbers become constants, and memory becomes a struct. In the C code, ``r`` points to sensor readings, ``s`` to
+the policy's state, and ``v`` to the values of an observation term.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 
-from wheelleg_exp.jobs.export.c_update import update_code
+from wheelleg_exp.jobs.export.c_update import update_constants
 from wheelleg_exp.jobs.export.policy_json import ActionTerm, Modifier, ObservationTerm, PolicyJson
 
 _LEAST, _MOST = np.finfo(np.float32).min, np.finfo(np.float32).max
@@ -181,6 +181,7 @@ def c_header(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> str:
     terms = [(f"{g}_{t}", term) for g, group in groups for t, term in enumerate(group["terms"])]
     actions = [(str(number), term) for number, term in enumerate(spec["actions"])]
     joints, about = len(spec["joint_names"]), spec["run"]
+    update = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8").rstrip()
     memory = [line for name, term in terms for line in term_memory(name, term)]
     memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
@@ -208,7 +209,7 @@ def c_header(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> str:
         clip="" if spec["clip_actions"] is None else _CLIP.format(bound=number(spec["clip_actions"])),
         processed=_indented(processed),
         apply=_indented(_applied(spec)),
-        update=update_code(spec),
+        update="\n".join([*update_constants(spec), update]),
     )
 
 
@@ -232,13 +233,9 @@ def _constants(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> Iterable[s
     for name, array in arrays.items():
         kind = "policy_real" if array.dtype == np.float64 else "float"
         words = (repr(float(v)) if kind == "policy_real" else f"{float(v):.9g}" for v in array.ravel())
-        yield _array(kind, f"policy_{name}", (_literal(word, kind) for word in words))
-
-
-def _literal(word: str, kind: str) -> str:
-    """Return a C literal of a float; a whole number gets a decimal point, because ``1f`` is invalid C."""
-    point = "" if any(mark in word for mark in ".en") else ".0"
-    return word + point + ("f" if kind == "float" else "")
+        # A whole number gets a decimal point, because ``1f`` is invalid C.
+        words = (word if any(mark in word for mark in ".en") else f"{word}.0" for word in words)
+        yield _array(kind, f"policy_{name}", (word + ("f" if kind == "float" else "") for word in words))
 
 
 def _layout(spec: PolicyJson) -> Iterable[str]:

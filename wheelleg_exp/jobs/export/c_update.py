@@ -1,14 +1,9 @@
-"""Write ``policy_update``, the part of ``policy.h`` that does the same as ``Policy.update`` of ``runner.py``.
-
-The C code in ``policy_update.h`` is the same for all policies. Its numbers are constants, written by this module from
-the section ``safety`` of ``policy.json``.
-"""
+"""Write the constants of ``policy_update.h``, which does the same as ``Policy.update`` of ``runner.py``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 from wheelleg_exp.jobs.export.bundle.runner import TARGETS, columns
 from wheelleg_exp.jobs.export.policy_json import Fall, PolicyJson
@@ -17,13 +12,8 @@ _CHECKS = ("bounds", "unit_vector", "command", "encoder")
 _NO_BOUND = 1e30  # a float that no reading reaches; ``inf`` is undefined with -ffast-math
 
 
-def update_code(spec: PolicyJson) -> str:
-    """Return C code with the struct ``policy_guard`` and the functions ``policy_begin`` and ``policy_update``."""
-    code = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8")
-    return "\n".join([*_constants(spec), code.rstrip()])
-
-
-def _constants(spec: PolicyJson) -> Iterator[str]:
+def update_constants(spec: PolicyJson) -> Iterator[str]:
+    """Yield the constants of ``policy_update.h``."""
     safety, step_us = spec["safety"], round(1e6 * spec["step_dt"])
     start, stop, recover = safety["start"], safety["stop"], safety["recover"]
     unknown: Fall = {"reading": "joint_pos", "upright": [0.0] * len(spec["joint_names"]), "angle": 0.0, "steps": 1}

@@ -1,8 +1,7 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
-The exported folder is written atomically, after each policy file has given the same actions as the trained policy in
-simulation. The exported ``runner.py`` adds no noise or delays, because a real robot has its own. The metadata of
-``policy.onnx`` contain ``policy.json`` and the metadata keys that mjlab exports.
+The folder is written atomically, after each policy file has given the same actions as the trained policy in simulation.
+The metadata of ``policy.onnx`` contain ``policy.json`` and the keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -20,32 +19,14 @@ from typing import Any
 import numpy as np
 import onnx
 
+from wheelleg_exp import files
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_realism
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.files import (
-    dump_json,
-    for_people,
-    require_new,
-    sha256,
-    sync_folder,
-    temporary_folder,
-    write_bytes,
-    write_json,
-    write_text,
-)
-from wheelleg_exp.jobs.export import bundle
+from wheelleg_exp.jobs.export import bundle, bundle_specification
 from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.bundle_check import READING, TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
 from wheelleg_exp.jobs.export.bundle_readme import readme
-from wheelleg_exp.jobs.export.bundle_specification import (
-    ROLES,
-    drive_law,
-    in_float64,
-    network_arrays,
-    require_perceptron,
-    specification,
-)
 from wheelleg_exp.jobs.export.c_header import c_header
 from wheelleg_exp.jobs.export.isaaclab_run import write_isaac_lab_run
 from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
@@ -81,8 +62,8 @@ def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
 def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
     """Return the ``env`` config of the simulation in which the exported policy files are checked.
 
-    The checked simulation has no noise, delays, encoder errors, pushes, or randomization of the robot. Wheel joints
-    start at their default positions, because the exported ``runner.py`` counts wheel angles from the reset.
+    It has no noise, delays, encoder errors, pushes, or randomization. Wheel joints start at their default positions,
+    because the exported ``runner.py`` counts wheel angles from the reset.
     """
     env = plain_section(without_realism(read_env(env)))
     found = as_configured(env)
@@ -102,11 +83,9 @@ def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[st
 
 
 def with_metadata(model: bytes, spec: PolicyJson) -> bytes:
-    """Return an ONNX model with the content of ``policy.json`` as metadata.
+    """Return an ONNX model with the content of ``policy.json`` as metadata; as in mjlab, a list is comma-separated.
 
-    In the ONNX metadata, a list such as ``joint_names`` is one string of comma-separated values, as in mjlab's exports.
-    ``action_scale`` and ``action_offset`` follow the order of ``action_joint_names``, and are omitted if an action term
-    lacks them.
+    ``action_scale`` and ``action_offset`` are omitted if an action term lacks them.
     """
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
@@ -120,7 +99,7 @@ def with_metadata(model: bytes, spec: PolicyJson) -> bytes:
         "action_joint_names": _comma_separated(name for action in spec["actions"] for name in action["joint_names"]),
         "step_dt": str(spec["step_dt"]),
         "decimation": str(spec["decimation"]),
-        "policy.json": dump_json(spec),
+        "policy.json": files.dump_json(spec),
     }
     for key in ("scale", "offset"):
         if all(key in action for action in spec["actions"]):
@@ -156,38 +135,36 @@ class Exported:
 def export(
     run: RunDirectory, checkpoint: Path | None, output: Path | None, command: Sequence[str], kind: str = BUNDLE
 ) -> Exported:
-    """Write a run's policy as a bundle, by default into the folder ``exported/<kind>`` of the run directory.
+    """Write a run's policy (default: the last checkpoint) as a bundle, by default into the run's ``exported/<kind>``.
 
-    If the default folder already exists, a number is appended to the name of the new folder. If ``checkpoint`` is None,
-    the last checkpoint of the run is exported. If the exported ``runner.py`` cannot compute the policy, raise
-    ConfigError. If an exported policy file gives different actions than the simulation, raise SimulationFailure and
-    write nothing.
+    If this folder exists, the new name gets a number. ConfigError means that ``runner.py`` cannot compute the policy,
+    and SimulationFailure that a policy file gives other actions than the simulation; then nothing is written.
     """
     if kind == LEAPP and find_spec(LEAPP) is None:
         raise ConfigError("leapp is not installed", key="--format", expected="pip install 'wheelleg_exp[leapp]'")
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     if output is not None:
-        require_new(output)
+        files.require_new(output)
     target = run.exported / kind if output is None else output.absolute()
-    with for_people(target), temporary_folder(target) as work:
-        margins = margins_of(run.manifest().facts.additions, sha256(checkpoint))
+    with files.for_people(target), files.temporary_folder(target) as work:
+        margins = margins_of(run.manifest().facts.additions, files.sha256(checkpoint))
         differences, notes = _fill(work, run, checkpoint, kind, margins)
-        sync_folder(work)
+        files.sync_folder(work)
         number, place = 1, target
         while place.exists() or place.is_symlink():
             if output is not None:
-                require_new(place)
+                files.require_new(place)
             number += 1
             place = target.with_name(f"{target.name}-{number}")
-        with for_people(place):
+        with files.for_people(place):
             work.rename(place)
         folder = place.resolve()
     if folder.is_relative_to(run.path):
         results: dict[str, object] = {"folder": str(folder.relative_to(run.path)), "checkpoint": checkpoint.name}
         results |= {"largest_difference": differences, "lacks": notes}
         try:
-            files = sorted(path for path in folder.rglob("*") if path.is_file())
-            run.manifest().add("export", files, results, command=command)
+            written = sorted(path for path in folder.rglob("*") if path.is_file())
+            run.manifest().add("export", written, results, command=command)
         except BaseException:  # Remove an exported folder that the run's manifest does not list.
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -200,10 +177,12 @@ def _fill(
     """Write all files of the exported folder; return the fields ``differences`` and ``notes`` of ``Exported``."""
     params, agent = load_params(run)
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
-    role = next((role for role in ROLES if role in agent), None)
+    role = next((role for role in bundle_specification.ROLES if role in agent), None)
     if role is None:
-        raise ConfigError("the run has no policy", key="agent", expected=f"one of {', '.join(ROLES)}")
-    require_perceptron(agent[role], f"agent.{role}")
+        raise ConfigError(
+            "the run has no policy", key="agent", expected=f"one of {', '.join(bundle_specification.ROLES)}"
+        )
+    bundle_specification.require_perceptron(agent[role], f"agent.{role}")
     groups = agent["obs_groups"][role]
     mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
     if kind == ISAAC_LAB:
@@ -213,7 +192,7 @@ def _fill(
         return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy, task)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
-    plain_spec = specification(plain, agent, _ranges(plain, state))
+    plain_spec = bundle_specification.specification(plain, agent, _ranges(plain, state))
     steps = min(2 * plain.max_episode_length, _MOST_STEPS)
     width = plain_spec["observation_width"]
     require_memory(4 * steps * width, f"env.observations.{groups[0]}", f"{steps} recorded steps of {width:,} numbers")
@@ -221,12 +200,13 @@ def _fill(
     set_threads(read_agent(agent), env.scene.sim.nthread)
     adapter = RslRlVecEnv(env, agent.get("clip_actions"))
     policy = load_policy(checkpoint, adapter, read_agent(agent))
-    network, arrays = network_arrays(policy, role)
-    clip, names = (
-        agent.get("clip_actions"),
-        list(leapp_readings(plain_spec).values() if kind == LEAPP else plain_spec["readings"]),
+    network, arrays = bundle_specification.network_arrays(policy, role)
+    # In float32, torch and NumPy would give different actions, because they round sums differently.
+    precise = copy.deepcopy(policy).double()
+    names = list(leapp_readings(plain_spec).values() if kind == LEAPP else plain_spec["readings"])
+    recorded = recorded_episodes(
+        adapter, lambda seen: precise(seen.double()).float(), policy, groups, names, agent.get("clip_actions"), steps
     )
-    recorded = recorded_episodes(adapter, in_float64(policy), policy, groups, names, clip, steps)
     spec: PolicyJson = {
         "format_version": plain_spec["format_version"],
         "run": {
@@ -234,38 +214,33 @@ def _fill(
             "task": run.manifest().data.get("task"),
             "iteration": state["iter"],
             "checkpoint": checkpoint.name,
-            "checkpoint_sha256": sha256(checkpoint),
+            "checkpoint_sha256": files.sha256(checkpoint),
         },
         **plain_spec,
         "network": network,
-        "check": {
-            "file": "check.npz",
-            "steps": steps,
-            "tolerance": TOLERANCE,
-            "tolerance_float32": TOLERANCE_FLOAT32,
-        },
+        "check": {"file": "check.npz", "steps": steps, "tolerance": TOLERANCE, "tolerance_float32": TOLERANCE_FLOAT32},
         "margins": [{"name": m.name, "unit": m.unit, "policy": m.policy, "reference": m.reference} for m in margins],
     }
     if kind == LEAPP:
         return write_leapp(folder, spec, plain, policy.as_onnx(verbose=False), recorded)
-    write_bytes(folder / "policy.npz", _npz(arrays))
-    write_bytes(folder / "check.npz", _npz(recorded))
+    files.write_bytes(folder / "policy.npz", _npz(arrays))
+    files.write_bytes(folder / "check.npz", _npz(recorded))
     for name in _COPIED_FILES:
-        write_text(folder / name, Path(str(bundle.__file__)).with_name(name).read_text(encoding="utf-8"))
-    write_json(folder / "policy.json", spec)
+        files.write_text(folder / name, Path(str(bundle.__file__)).with_name(name).read_text(encoding="utf-8"))
+    files.write_json(folder / "policy.json", spec)
     torchscript, onnx, header = formats.torchscript(policy), formats.onnx(policy), c_header(spec, arrays)
     differences, notes = compare(folder, torchscript, onnx, header)
     spec["check"]["largest_difference"] = differences
-    write_json(folder / "policy.json", spec)
-    write_bytes(folder / "policy.pt", torchscript)
-    write_bytes(folder / "policy.onnx", with_metadata(onnx, spec))
+    files.write_json(folder / "policy.json", spec)
+    files.write_bytes(folder / "policy.pt", torchscript)
+    files.write_bytes(folder / "policy.onnx", with_metadata(onnx, spec))
     if not notes:
-        write_text(folder / "policy.h", header)
+        files.write_text(folder / "policy.h", header)
         shutil.copytree(Path(str(bundle.__file__)).with_name("example"), folder / "example")
-        write_text(folder / "example" / "readings.csv", _readings_csv(spec, recorded))
+        files.write_text(folder / "example" / "readings.csv", _readings_csv(spec, recorded))
     notes += _write_robot(folder / "robot", mjcf, params, plain, spec["readings"])
-    files = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
-    write_text(folder / "README.md", readme(spec, files, notes))
+    names = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
+    files.write_text(folder / "README.md", readme(spec, names, notes))
     return differences, notes
 
 
@@ -302,10 +277,7 @@ def _readings_csv(spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> str:
     """Return the readings of the first recorded episode as CSV, in the layout of a robot log."""
     steps = int(np.append(np.flatnonzero(recorded["reset"]), len(recorded["reset"]))[1])
     names = [c for n, r in spec["readings"].items() for c in runner.columns(n, r["width"], spec["joint_names"])]
-    rows = [
-        spec["step_dt"] * np.arange(steps)[:, None],
-        *(recorded[READING + name][:steps] for name in spec["readings"]),
-    ]
+    rows = [spec["step_dt"] * np.arange(steps)[:, None], *(recorded[READING + n][:steps] for n in spec["readings"])]
     buffer = io.StringIO()
     np.savetxt(buffer, np.hstack(rows)[:_EXAMPLE_STEPS], "%.9g", ",", header=",".join(["time", *names]), comments="")
     return buffer.getvalue()
@@ -315,7 +287,7 @@ def _write_robot(
     folder: Path, mjcf: Path, params: Mapping[str, object], env: ManagerBasedRLEnv, readings: Iterable[str] = ()
 ) -> list[str]:
     """Write the robot and its scene as MJCF files; return notes about parts that ``simulate.py`` cannot simulate."""
-    with for_people(folder):
+    with files.for_people(folder):
         shutil.copytree(mjcf.parent, folder, ignore=shutil.ignore_patterns(*_SKIPPED_FILES))
     ground = env.scene.terrain
     friction = (ground.static_friction, ground.dynamic_friction, ground.restitution)
@@ -326,8 +298,12 @@ def _write_robot(
     found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
     scene = SceneManager(found, mjcf, 1).scene
     scene.play()
-    write_text(folder / "scene.xml", scene.spec.to_xml())
-    strange = [f"the drive `{name}`" for name, group in env.scene.robot.actuators.items() if drive_law(group) is None]
+    files.write_text(folder / "scene.xml", scene.spec.to_xml())
+    strange = [
+        f"the drive `{name}`"
+        for name, group in env.scene.robot.actuators.items()
+        if bundle_specification.drive_law(group) is None
+    ]
     strange += [f"the reading `{name}`" for name in readings if name.endswith(".lin_acc")]
     strange += [] if env.scene.robot.floating else ["a fixed base"]
     return [f"a simulation of {what}, which `simulate.py` refuses" for what in strange]

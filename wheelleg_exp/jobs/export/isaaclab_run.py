@@ -105,10 +105,7 @@ _MODIFIER_FUNCTIONS = {here: there for there, here in MODIFIERS.items()}
 def write_isaac_lab_run(
     folder: Path, env: ManagerBasedRLEnv, num_envs: int, agent: Tree, policy: MLPModel, task: str
 ) -> list[str]:
-    """Write the run folder; return a note for each part of the config that Isaac Lab does not have.
-
-    ``env`` is a simulation of the run, and ``num_envs`` the number of environments in the training.
-    """
+    """Write the run folder of a training with ``num_envs``; return notes about the settings that Isaac Lab lacks."""
     converted = IsaacLabEnv({**env.cfg, "num_envs": num_envs}, env.seed)
     notes, role = converted.notes, "student" if "student" in agent else "actor"
     groups, exported = agent["obs_groups"][role], converted.tree["observations"]

@@ -86,10 +86,7 @@ def write_leapp(
 
 
 def _difference(policy: Any, spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> float:
-    """Return the largest relative difference of the bundle's targets, computed by leapp, from the recorded targets.
-
-    The last action of each step is the recorded one, because rounding errors would grow through a policy's own actions.
-    """
+    """Return the largest relative difference of the bundle's targets from the recorded ones, after recorded actions."""
     worst = 0.0
     for step, starts in enumerate(recorded["reset"]):
         if starts:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import takewhile
 
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -94,8 +93,3 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
             shown = "not a number" if finite is None else f"{finite:.4g}"
             why.append(f"{name} is {shown}, but must be {'at least' if least else 'at most'} {bound:g}")
     return Verdict(not why, values, why)
-
-
-def streak(verdicts: list[bool]) -> int:
-    """Return the number of passed evaluations since the last failed evaluation."""
-    return len(list(takewhile(bool, reversed(verdicts))))

@@ -58,10 +58,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
-    """Return a phase's training overrides; the pipeline later adds ``init_from`` and ``agent.max_iterations``.
-
-    ``overrides`` are the overrides of the command line, which apply to all phases of the pipeline.
-    """
+    """Return a phase's overrides and those of the command line, without ``init_from`` and ``agent.max_iterations``."""
     return [f"task={phase.task}", *phase.overrides, *overrides, f"run.name={name}"]
 
 
@@ -70,8 +67,7 @@ def compose_phases(
 ) -> dict[str, Composed]:
     """Check the config of every phase, and check that each phase can start with the policy of the phase before it.
 
-    ConfigError lists the mistakes in the configs of all phases, each with the phase's name. A mistake that a command
-    line override causes in every phase is listed only once.
+    ConfigError lists the mistakes of all phases; a mistake that a command line override causes in every phase, once.
     """
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing
 from wheelleg_exp.config.explaining.config_diff import Change, changes, same
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.pipeline.pipeline_phases import Phase
 from wheelleg_exp.jobs.pipeline.pipeline_settings import PipelineSettings, phase_overrides, read_pipeline
 from wheelleg_exp.packages import join_recorded, left_out
 from wheelleg_exp.run.run_config import require_overrides
@@ -25,11 +23,10 @@ _CHANGEABLE_LATER = ("max_iterations", "gate")
 def resume_pipeline(
     index: PipelineIndex, overrides: Sequence[str], command: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> PipelineSettings:
-    """Check that a pipeline can be resumed, and return the settings of the pipeline.
+    """Check that a pipeline can be resumed, and return the settings of the pipeline; an error writes nothing.
 
-    ``overrides`` change phases of the pipeline, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs``
-    is empty, the pipeline's recorded config folders are used. If the pipeline is running or finished, or an override is
-    invalid, ``resume_pipeline`` raises an error and writes nothing.
+    ``overrides`` change its phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty,
+    the recorded config folders are used.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process")):
         message = "this pipeline is still running"
@@ -62,11 +59,22 @@ def resume_pipeline(
         message = "a resume cannot add, remove, or reorder pipeline phases"
         raise ConfigError(message, key=f"{PIPELINE}.phases", expected=str(list(recorded["phases"])))
     regated = {str(change.keys[2]) for change in found if change.keys[3:4] == ("gate",)}
-    with placing(overrides):
-        _require_gates({name: declared.phases[name] for name in declared.phases if name in regated}, index, folders)
+    if changed := {name: declared.phases[name] for name in declared.phases if name in regated}:
+        from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
+
+        words_of = {name: phase_overrides(name, phase, index.data["overrides"]) for name, phase in changed.items()}
+        with placing(overrides):
+            composed = {name: compose_valid(words, config_dirs=folders) for name, words in words_of.items()}
+            require_metrics(changed, composed, folders)
     for phase in index.data["phases"]:
         if phase["status"] == "failed":
-            phase |= _retry(phase, declared.tree["phases"][phase["name"]], found)
+            name = phase["name"]
+            if not any(change.keys[2] == name for change in found):
+                message = f"phase '{name}' did not pass its gate, and nothing changed: {phase['why']}"
+                expected = f"more than {declared.phases[name].max_iterations}, or another gate"
+                raise ConfigError(message, key=f"{PIPELINE}.phases.{name}.max_iterations", expected=expected)
+            gates = [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"] and name not in regated]
+            phase.update(status="training", why=None, ended=None, gates=gates)
     index.data["config_dirs"] = [str(folder) for folder in folders]
     index.restart(command, [{"key": c.key, "was": str(c.a), "now": str(c.b)} for c in found], declared.tree)
     return declared
@@ -81,15 +89,6 @@ def _folders(index: PipelineIndex, config_dirs: Sequence[Path]) -> list[Path]:
         message = f"the pipeline needs the config folder {folder}, which {why}"
         raise ConfigError(message, key=str(index.path), expected=expected)
     return folders
-
-
-def _require_gates(phases: Mapping[str, Phase], index: PipelineIndex, folders: Sequence[Path]) -> None:
-    """Raise ConfigError if a changed evaluation does not compute a metric for which the phase has a bound."""
-    if phases:
-        from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
-
-        words = {name: phase_overrides(name, phase, index.data["overrides"]) for name, phase in phases.items()}
-        require_metrics(phases, {name: compose_valid(w, config_dirs=folders) for name, w in words.items()}, folders)
 
 
 def _require_changeable(change: Change, index: PipelineIndex) -> None:
@@ -108,14 +107,3 @@ def _require_changeable(change: Change, index: PipelineIndex) -> None:
     if change.keys[3] == "max_iterations" and isinstance(change.b, int) and change.b < done:
         message = f"the number is {change.b}, and phase '{name}' has done {done} iterations"
         raise ConfigError(message, key=change.key, expected=f"at least {done}")
-
-
-def _retry(phase: Mapping[str, Any], config: Mapping[str, Any], found: Sequence[Change]) -> dict[str, Any]:
-    """Return the changed record of a phase that failed its evaluation and is now trained further."""
-    if not any(change.keys[2] == phase["name"] for change in found):
-        message = f"phase '{phase['name']}' did not pass its gate, and nothing changed: {phase['why']}"
-        expected = f"more than {config['max_iterations']}, or another gate"
-        raise ConfigError(message, key=f"{PIPELINE}.phases.{phase['name']}.max_iterations", expected=expected)
-    regated = any(change.keys[2:4] == (phase["name"], "gate") for change in found)
-    gates = [] if regated else [gate for gate in phase["gates"] if gate["iteration"] <= phase["trained"]]
-    return {"status": "training", "why": None, "ended": None, "gates": gates}

@@ -1,12 +1,10 @@
-"""Train each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record.
-
-Before any training, ``require_metrics`` checks that evaluations compute all metrics for which the config sets bounds.
-"""
+"""Train each phase of a pipeline as an ordinary run in a child process, and update the pipeline's record."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import takewhile
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +26,7 @@ from wheelleg_exp.evaluation.protocol import metric_names
 from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.files import while_running
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, judge, streak
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, judge
 from wheelleg_exp.jobs.pipeline.pipeline_settings import (
     PipelineSettings,
     compose_gate,
@@ -50,39 +48,37 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
     """Raise ConfigError if a phase's evaluation does not compute a metric for which the phase has a bound."""
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
-        if phase.gate is not None:
-            try:
-                names = _metric_names(phase.gate, composed[name], folders)
-                mistakes += _unknown_metrics(f"{PIPELINE}.phases.{name}.gate", phase.gate, names)
-            except ConfigError as error:
-                mistakes += [name_phase(place_gate_error(part, name, phase.gate), name) for part in parts(error)]
+        gate, config = phase.gate, composed[name].config
+        if gate is None:
+            continue
+        try:
+            whole = compose_gate(gate, folders)
+            with whole.placing():
+                read_section(Protocol, whole.config["protocol"], "protocol")
+            env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
+            robot = prepare_asset(config, composed[name].asset_roots).output
+            names = metric_names(env, robot, whole.config["protocol"])
+        except ConfigError as error:
+            mistakes += [name_phase(place_gate_error(part, name, gate), name) for part in parts(error)]
+            continue
+        asked = [("at_least", metric) for metric in gate.at_least] + [("at_most", metric) for metric in gate.at_most]
+        for bound, metric in ((bound, metric) for bound, metric in asked if metric not in names):
+            message = f"protocol '{gate.protocol}' has no such metric"
+            expected, nearest = (
+                "a metric of its evaluations, such as " + ", ".join(names[:3]),
+                nearest_name(metric, names),
+            )
+            key = f"{PIPELINE}.phases.{name}.gate.{bound}.{metric}"
+            mistakes.append(ConfigError(message, key=key, expected=expected, nearest=nearest))
     if mistakes:
         raise_all(mistakes)
-
-
-def _unknown_metrics(key: str, gate: Gate, names: Sequence[str]) -> Iterator[ConfigError]:
-    for bound, asked in (("at_least", gate.at_least), ("at_most", gate.at_most)):
-        for name in asked:
-            if name not in names:
-                message = f"protocol '{gate.protocol}' has no such metric"
-                expected = "a metric of its evaluations, such as " + ", ".join(names[:3])
-                path, nearest = f"{key}.{bound}.{name}", nearest_name(name, names)
-                yield ConfigError(message, key=path, expected=expected, nearest=nearest)
-
-
-def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
-    whole, config = compose_gate(gate, folders), composed.config
-    with whole.placing():
-        read_section(Protocol, whole.config["protocol"], "protocol")
-    env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
-    return metric_names(env, prepare_asset(config, composed.asset_roots).output, whole.config["protocol"])
 
 
 class PipelineRunner:
     """Runs the unfinished phases of a pipeline, until a phase fails its gate (evaluation) or a stop is requested.
 
-    Each training, resume, and evaluation of a pipeline has its own process. The run of a phase is bitwise equal to a
-    run of ``wheelleg train`` with the overrides of this phase. A killed training can be resumed.
+    Each training, resume, and evaluation has its own process. A phase's run is bitwise equal to one of ``wheelleg
+    train``.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:
@@ -131,7 +127,7 @@ class PipelineRunner:
             if not any(found["iteration"] == target for found in entry["gates"]):
                 self._judge(entry, phase.gate, target, last=target >= phase.max_iterations)
             verdicts = [bool(found["passed"]) for found in entry["gates"]]
-            in_a_row, last = streak(verdicts), target >= phase.max_iterations
+            in_a_row, last = len(list(takewhile(bool, reversed(verdicts)))), target >= phase.max_iterations
             times = "once" if in_a_row == 1 else f"{in_a_row} times in a row"
             if last and not verdicts[-1]:
                 wrong = "; ".join(entry["gates"][-1]["why"])
@@ -157,10 +153,14 @@ class PipelineRunner:
     def _train(self, entry: PhaseEntry, phase: Phase, source: Path | None, target: int) -> None:
         if entry["trained"] >= target:
             return
-        run = self._index.run_of(entry)
+        run, done = self._index.run_of(entry), 0
         if run is None:
             self._perform(self._new(entry, phase, source, target), entry)
-        elif _finished_iterations(run) < target:
+        else:
+            with suppress(RunDirectoryError):
+                manifest = RunDirectory(run).manifest()
+                done = int(manifest.results.get("iterations", 0)) if manifest.status == "finished" else 0
+        if run is not None and done < target:
             override = f"agent.max_iterations={target}"
             command = ["wheelleg", "resume", str(run), override]
             self._perform(self._request("resume", [override], command, run=str(run)), entry)
@@ -228,12 +228,3 @@ class PipelineRunner:
             self._display.note(f"{entry['name']}: {event['text']}")
         elif kind == "iteration":
             self._display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), event["total"])
-
-
-def _finished_iterations(run: Path) -> int:
-    """Return the number of training iterations of a finished run, or 0 for an unfinished run."""
-    with suppress(RunDirectoryError):
-        manifest = RunDirectory(run).manifest()
-        if manifest.status == "finished":
-            return int(manifest.results.get("iterations", 0))
-    return 0

@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.child_process import Child, Event, job_events
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
@@ -96,10 +95,8 @@ class Replayed:
     whole: bool  # True if the replay repeated all iterations of the original run.
     source: RestoredSource
     machine: list[FactDifference]
-    composed: Mapping[
-        str, object
-    ]  # ``composed["equal"]`` is true if the run's overrides still give the config that the run saved.
-    asset: Mapping[str, object]  # ``asset["note"]`` explains why the replay did not convert the robot again.
+    composed: Mapping[str, object]  # ``equal`` is true if the run's overrides still give the config that the run saved.
+    asset: Mapping[str, object]  # ``note`` explains why the replay did not convert the robot again.
     notes: list[str]
     kept: Path | None  # the folder of the restored source code, or None if this folder was removed
     comparison: Comparison
@@ -135,9 +132,8 @@ def replay(
 ) -> Replayed:
     """Train a run again from its snapshot, in ``<root>/replays/<task>/``, and compare the new run with the original.
 
-    A replay does not change the original run or the user's git repositories. ``repositories`` are git clones that may
-    contain the commits of the run's source code. If ``iterations`` is None, the replay trains all iterations of the
-    original run. If ``keep`` is true, the replay does not remove the restored source code.
+    The original run and the user's repositories stay unchanged. ``repositories`` are git clones that may contain the
+    commits of the run. ``iterations`` defaults to all. With ``keep``, the restored source code remains.
     """
     manifest = run.manifest()
     require_whole_snapshot(run, manifest)
@@ -162,7 +158,7 @@ def replay(
         events = _train(request, source, environ, folder, display, stop)
     new = RunDirectory.open(events["run"]["path"], root)
     comparison = compare_runs(run, new, iterations=total)
-    results = {"of": _id(run, manifest), "verdict": comparison.verdict, "iterations": total}
+    results = {"of": manifest.facts.id or run.id, "verdict": comparison.verdict, "iterations": total}
     new.manifest().add(KIND, results=results, command=command)
     return Replayed(
         original=run,
@@ -216,7 +212,7 @@ def _environ(run: RunDirectory, manifest: Manifest) -> dict[str, str]:
     return {name: value for name, value in environ.items() if name not in in_vain}
 
 
-def _config(run: RunDirectory, manifest: Manifest) -> dict[str, Any]:
+def _config(run: RunDirectory, manifest: Manifest) -> dict[str, object]:
     """Return the config of a replay; recorded environment variables replace the variables of this process."""
     return recorded_config(run, {**os.environ, **_recorded_variables(manifest)})
 
@@ -257,11 +253,6 @@ def _workplace(keep: bool) -> Iterator[Path]:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def _id(run: RunDirectory, manifest: Manifest) -> str:
-    """Return the run's id from its manifest, because the folder of a copied run can have a new name."""
-    return manifest.facts.id or run.id
-
-
 def _request(
     run: RunDirectory,
     manifest: Manifest,
@@ -274,7 +265,7 @@ def _request(
     options = _config(run, manifest)["run"]
     name = options.get("name") if isinstance(options, Mapping) else None
     facts = {
-        "replay_of": _id(run, manifest),
+        "replay_of": manifest.facts.id or run.id,  # The folder of a copied run can have another name.
         "replay": {
             "manifest_sha256": sha256(run.path / MANIFEST_NAME),
             "snapshot": {k: v["sha256"] for k, v in manifest.facts.files.items() if k.startswith(SNAPSHOT)},

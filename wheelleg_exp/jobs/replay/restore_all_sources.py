@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -76,9 +77,8 @@ def describe_code(run: RunDirectory) -> str:
 def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]) -> RestoredSource:
     """Restore every source folder that a run recorded, as a subfolder of the existing folder ``workplace``.
 
-    A recorded commit may be in the git clones ``repositories``, in the run's original source folder, or in the current
-    checkout. RunDirectoryError means that the package's source was not recorded, was not found, or is too old for a
-    replay.
+    A recorded commit may be in ``repositories``, in the run's original source folder, or in the current checkout.
+    RunDirectoryError means that the package's source was not recorded, was not found, or is too old.
     """
     source = RestoredSource()
     for number, record in enumerate(load_source(run)):
@@ -86,11 +86,25 @@ def restore_all(run: RunDirectory, workplace: Path, repositories: Sequence[Path]
         if record.patch is not None:
             _restore(run, number, record, workplace, candidates, source)
         elif number == 0:
-            _use_installed(record, source)
+            if record.status != "installed":
+                message = f"the source of the run was not captured ({record.status}): {record.note}"
+                raise RunDirectoryError(message, expected="a run whose source was captured")
+            package = configs_dir().parent
+            if not is_installed(package) or content_digest(package) != record.content_sha256:
+                what = f"its files are not those of '{package}', which trains now"
+                source.notes.append(f"the run was made by an installed {PACKAGE}; {what}")
+            source.trees.append(RestoredTree(record.root or ".", "installed"))
+            source.places[PACKAGE] = Path(__file__).resolve().parents[3]
         else:
             _use_in_place(record, source)
-    recorded = dict.fromkeys(source.now(folder) for folder in _recorded_config_dirs(run))
-    source.config_dirs = [folder for folder in recorded if is_there(folder)]
+    folders = run.manifest().facts.config_dirs
+    if folders is None:
+        folders = ()
+        with suppress(KeyError, TypeError):
+            entries = read_yaml(run.hydra / "hydra.yaml")["hydra"]["runtime"]["config_sources"]
+            entries = [entry for entry in entries if entry["schema"] == "file" and entry["provider"] != "main"]
+            folders = tuple(str(entry["path"]) for entry in entries)
+    source.config_dirs = [folder for folder in dict.fromkeys(map(source.now, folders)) if is_there(folder)]
     for folder in source.source_roots:
         _register(folder, source)
     return source
@@ -150,18 +164,6 @@ def _register(folder: Path, source: RestoredSource) -> None:
         source.places.setdefault(folder.name, folder.parent)
 
 
-def _use_installed(record: SourceRecord, source: RestoredSource) -> None:
-    if record.status != "installed":
-        message = f"the source of the run was not captured ({record.status}): {record.note}"
-        raise RunDirectoryError(message, expected="a run whose source was captured")
-    package = configs_dir().parent
-    if not is_installed(package) or content_digest(package) != record.content_sha256:
-        what = f"its files are not those of '{package}', which trains now"
-        source.notes.append(f"the run was made by an installed {PACKAGE}; {what}")
-    source.trees.append(RestoredTree(record.root or ".", "installed"))
-    source.places[PACKAGE] = Path(__file__).resolve().parents[3]
-
-
 def _use_in_place(record: SourceRecord, source: RestoredSource) -> None:
     """Use the present files of a source folder that the run did not save; if they may have changed, add a note."""
     root, status = Path(record.root or "."), record.status
@@ -182,14 +184,3 @@ def _use_in_place(record: SourceRecord, source: RestoredSource) -> None:
         instead = "an installed package replaces it, if there is one"
         source.notes.append(f"'{root}' cannot be restored ({reason}); {instead}")
     source.trees.append(RestoredTree(str(root), "installed" if status == "installed" else "missing", record.commit))
-
-
-def _recorded_config_dirs(run: RunDirectory) -> list[str]:
-    known = run.manifest().facts.config_dirs
-    if known is not None:
-        return list(known)
-    try:
-        sources = read_yaml(run.hydra / "hydra.yaml")["hydra"]["runtime"]["config_sources"]
-        return [str(entry["path"]) for entry in sources if entry["schema"] == "file" and entry["provider"] != "main"]
-    except (KeyError, TypeError):
-        return []

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.child_process import EventPipe, serve_job
 from wheelleg_exp.errors import ConfigError, WheellegError
+from wheelleg_exp.files import for_people
 from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     from wheelleg_exp.asset import CachedConversion
-    from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.trainer import Iteration
     from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -107,7 +108,22 @@ def _train(pipe: EventPipe, line: bytes, stop: StopRequest) -> None:
     config = _config(run_directory, request)
     display.record("composed", **_composed_again(run_directory, request))
     stop.check()
-    training = _prepare(run_directory, config, request, display)
+
+    from wheelleg_exp.jobs.train.prepare_training import Recipe, prepare_recipe
+    from wheelleg_exp.paths import configs_dir
+
+    hydra = sorted(run_directory.hydra.glob("*.yaml"))
+    recipe = Recipe(
+        config=config,
+        hydra_files={path.name: path.read_text(encoding="utf-8") for path in hydra},
+        source_roots=[configs_dir().parent, *map(Path, request.source_roots)],
+        asset=_asset(run_directory, config["env"], request, display),
+        config_dirs=[Path(folder) for folder in request.config_dirs],
+    )
+    display.warnings_only = True
+    training = prepare_recipe(recipe, request.command, display)
+    display.warnings_only = False
+    training.manifest.record(**{**request.facts, "replay": {**request.facts.get("replay", {}), **display.found}})
     pipe.send("run", path=str(training.directory.path))
 
     from wheelleg_exp.jobs.train.run_training import run
@@ -131,57 +147,36 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     return config
 
 
-def _prepare(run: RunDirectory, config: dict[str, Any], request: Request, display: ReplayDisplay) -> Training:
-    from wheelleg_exp.jobs.train.prepare_training import Recipe, prepare_recipe
-    from wheelleg_exp.paths import configs_dir
-
-    recipe = Recipe(
-        config=config,
-        hydra_files={path.name: path.read_text(encoding="utf-8") for path in sorted(run.hydra.glob("*.yaml"))},
-        source_roots=[configs_dir().parent, *(Path(folder) for folder in request.source_roots)],
-        asset=_asset(run, config, request, display),
-        config_dirs=[Path(folder) for folder in request.config_dirs],
-    )
-    display.warnings_only = True
-    training = prepare_recipe(recipe, request.command, display)
-    display.warnings_only = False
-    training.manifest.record(**{**request.facts, "replay": {**request.facts.get("replay", {}), **display.found}})
-    return training
-
-
-def _asset(run: RunDirectory, config: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
+def _asset(run: RunDirectory, env: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
     """Convert the robot again from its restored source files; if impossible, copy the robot that the run saved."""
-    from wheelleg_exp.jobs.saved_robot import copy_saved_robot, saved_mjcf
+    from wheelleg_exp.asset.conversion_cache import MODEL, convert_cached, find_extra_files, source_digest
+    from wheelleg_exp.jobs.saved_robot import load_saved_robot
+    from wheelleg_exp.paths import INITIAL, TEACHER, find_asset
+    from wheelleg_exp.run.run_config import recorded_robot
 
-    workplace = Path(request.workplace)
-    made, why = _converted_again(run, config["env"], request, workplace / "assets")
-    recorded = saved_mjcf(run).read_text(encoding="utf-8")
-    if made is not None and made.output.read_text(encoding="utf-8") == recorded:
-        display.record("asset", converted=True, note=None)
-        return made
-    why = why or "the conversion gives another MJCF than the run's; the libraries differ"
-    display.record("asset", converted=False, note=f"{why}: the replay simulates the saved MJCF")
-    return copy_saved_robot(run, workplace / "kept")
-
-
-def _converted_again(
-    run: RunDirectory, env: Mapping[str, Any], request: Request, cache: Path
-) -> tuple[CachedConversion | None, str | None]:
-    """Return the newly converted robot, or None with the reason why the conversion failed."""
-    from wheelleg_exp.asset.conversion_cache import convert_cached, find_extra_files, source_digest
-    from wheelleg_exp.jobs.saved_robot import saved_networks, saved_sources
-    from wheelleg_exp.paths import find_asset
-
+    workplace, saved = Path(request.workplace), load_saved_robot(run)
     folders = [Path(folder) for folder in request.config_dirs]
     robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
+    why = "the conversion gives another MJCF than the run's; the libraries differ"
     try:
         source = find_asset(_moved(str(robot["asset"]), request.moved), roots, key="env.robot.asset")
-        extra_files = find_extra_files(env, roots) | saved_networks(run)
-        if source_digest(source, extra_files=extra_files) != saved_sources(run):
-            return None, f"'{source.name}' or a file that it uses is not the recorded one"
-        return convert_cached(source, base=robot["base"], cache_dir=cache, extra_files=extra_files), None
+        networks = {name: path for name in (TEACHER, INITIAL) if (path := run.asset / name).is_file()}
+        extra = find_extra_files(env, roots) | networks
+        if source_digest(source, extra_files=extra) != recorded_robot(run).sources:
+            why = f"'{source.name}' or a file that it uses is not the recorded one"
+        else:
+            made = convert_cached(source, base=robot["base"], cache_dir=workplace / "assets", extra_files=extra)
+            if made.output.read_text(encoding="utf-8") == saved.output.read_text(encoding="utf-8"):
+                display.record("asset", converted=True, note=None)
+                return made
     except WheellegError as error:
-        return None, f"the robot cannot be converted again ({error})"
+        why = f"the robot cannot be converted again ({error})"
+    display.record("asset", converted=False, note=f"{why}: the replay simulates the saved MJCF")
+    kept = workplace / "kept"
+    with for_people(workplace):
+        shutil.copytree(run.asset, kept)
+        (kept / saved.output.name).rename(kept / MODEL)
+    return replace(saved, output=kept / MODEL)
 
 
 def _moved(name: str, moved: Mapping[str, str]) -> str:

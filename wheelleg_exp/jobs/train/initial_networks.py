@@ -1,7 +1,6 @@
 """Networks of another run with which a training starts: the initial policy of ``init_from``, and a teacher.
 
-Each run directory has its own copy of the initial networks, so that a reproduction needs no other run. ``fit`` compares
-the observations, actions, and network sizes of a saved policy and of a new training.
+Each run directory has its own copy of the initial networks, so that a reproduction needs no other run.
 """
 
 from __future__ import annotations
@@ -45,12 +44,10 @@ class Fit:
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
-    """Compare the ``env`` and ``agent`` configs of a policy's training with those of a new training.
+    """Compare the ``env`` and ``agent`` configs of a policy's training, ``was``, with those of a new training, ``now``.
 
-    ``was`` contains the config sections ``env`` and ``agent`` of the policy's training, and ``now`` those of the new
-    training. ``roles`` lists the networks to copy, such as ``actor``. ``of`` names the policy's training in error
-    messages, such as ``phase 'walk'``. A changed parameter of an observation function gives only a note, because it may
-    not change the observation size.
+    ``roles`` lists the networks to copy, such as ``actor``. ``of`` names the policy's training in error messages. A
+    changed parameter of an observation function gives only a note, because it may not change the observation size.
     """
     found = Fit([], [], [], {})
     (old_env, old_agent), (env, agent) = was, now
@@ -154,9 +151,8 @@ class _Source:
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, str]]]:
     """Yield the initial networks' file as ``{INITIAL: path}``, and the id and task of the run that trained them.
 
-    The file of the initial networks does not name the run that trained them, so that equal networks have equal files.
-    ``note`` receives a text about each changed setting with which the networks can still work. ConfigError means that
-    the checkpoint in ``init_from`` is missing, is damaged, or does not fit ``config``.
+    The file does not name this run, so that equal networks have equal files. ``note`` receives a text about each
+    changed setting that fits. ConfigError means that ``init_from`` is missing, is damaged, or does not fit ``config``.
     """
     if config.get(KEY) is None:
         yield {}, {}

@@ -16,10 +16,7 @@ from wheelleg_exp.stop_request import StopRequest
 
 
 def prepare_other_rank(composed: Composed, ranks: Ranks) -> tuple[Trainer, Learning]:
-    """Prepare a training in a rank above 0; return the trainer and the options of the agent.
-
-    Rank 0 calls ``prepare_training.prepare`` and reports the errors.
-    """
+    """Prepare a training in a rank above 0; return the trainer and the agent's options. Rank 0 reports errors."""
     with ranks.agreed():
         recipe = find_inputs(composed, Display())
     with ranks.agreed():

@@ -1,7 +1,4 @@
-"""Find the last complete checkpoint of a run, and remove the data of later iterations from the run's files.
-
-A checkpoint is complete if its digests (hashes) equal the digests in the run's iteration log.
-"""
+"""Find the last complete checkpoint of a run, and remove the data of later iterations from the run's files."""
 
 from __future__ import annotations
 
@@ -48,9 +45,9 @@ class ResumePoint:
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
-    """Find the last complete checkpoint of a run.
+    """Find the last checkpoint of a run whose digests (hashes) equal those in the iteration log.
 
-    If the iteration log does not match the checkpoints, or the checkpoint's format is too old, raise RunDirectoryError.
+    RunDirectoryError means that no checkpoint matches the log, or that the checkpoint's format is too old.
     """
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
@@ -103,10 +100,7 @@ _DAMAGED = ".damaged"
 
 
 def drop_past_checkpoint(run: RunDirectory, point: ResumePoint, *, events: bool) -> None:
-    """Remove all data after the checkpoint, and unfinished data of a killed process, from the run's files.
-
-    ``events`` selects whether TensorBoard's event files are also cut.
-    """
+    """Remove data after the checkpoint and of killed processes; ``events`` also cuts TensorBoard's event files."""
     for path in point.damaged:
         with for_people(path):
             path.replace(path.with_name(path.name + _DAMAGED))

@@ -1,7 +1,6 @@
 """Resume a stopped, killed, or extended training run; the resumed run is bitwise equal to an uninterrupted run.
 
-All ranks (processes) of a run must resume together. Rank 0 reads the run directory, and sends the state of the run to
-all ranks.
+All ranks resume together: rank 0 reads the run directory, and sends the state of the run to the others.
 """
 
 from __future__ import annotations
@@ -44,11 +43,7 @@ def resume_recipe(run: RunDirectory, tree: dict[str, object], text: str, folders
 
 
 def load_state(trainer: Trainer, state: Mapping[str, object], learning_rate: float | None) -> list[str]:
-    """Load the state of a checkpoint into a training; return texts about state that could not be restored exactly.
-
-    Each rank (process) loads its own part of the checkpoint's state. A ``learning_rate`` that is not None replaces the
-    learning rate in the checkpoint.
-    """
+    """Load this rank's part of a checkpoint; return texts about state that could not be restored exactly."""
     own = state_of_rank(state, trainer.ranks.rank)
     trainer.load_state_dict(own)
     if learning_rate is not None:
@@ -112,9 +107,9 @@ def prepare_resume(
 ) -> Training:
     """Lock a run and restore its last complete checkpoint; ``run_training.run`` continues and then unlocks the run.
 
-    ``overrides`` change settings of the iterations after the checkpoint. If ``config_dirs`` is empty, the config
-    folders in the run's manifest are used. WheellegError means that the run is locked, damaged, or finished, or that an
-    override is wrong. If the resume fails with an error, all files of the run remain unchanged.
+    ``overrides`` change settings of later iterations. Empty ``config_dirs`` mean those in the run's manifest.
+    WheellegError means that the run is locked, damaged, or finished, or that an override is wrong; all files remain
+    unchanged.
     """
     lock = RunLock(run)
     try:

@@ -49,8 +49,8 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, ob
     """Train until the last iteration or a stop request, and return the training's results for the run's manifest.
 
     After a stop request, write the checkpoint of the last finished iteration, and raise KeyboardInterrupt.
-    SimulationFailure means that a training number was NaN or inf, that the disk failed, or that the run was removed.
-    After a NaN or inf, the run directory contains the bad state and a checkpoint of the last finished iteration.
+    SimulationFailure means that a number was NaN or inf, the disk failed, or the run was removed. After a NaN or inf,
+    the run directory contains the bad state and a checkpoint of the last finished iteration.
     """
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.experiment.agent
@@ -116,10 +116,7 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, object]
 
 @contextmanager
 def _outputs(training: Training, display: Display) -> Iterator[Outputs]:
-    """Open the run's output files; on exit, record how the training ended, and warn about unfinished files.
-
-    If the ``with`` block and the recording fail, the error of the block is raised.
-    """
+    """Open the run's output files; on exit, record how the training ended. An error of the block takes precedence."""
     outputs = Outputs(training)
     try:
         with outputs:

@@ -1,10 +1,8 @@
 """Log the scalars of a training to TensorBoard's event files and to Weights & Biases.
 
-An event file is a sequence of records: length (8 bytes), checksum of the length, content, checksum of the content. The
-content is an ``Event`` message: first the file's version, then scalars by step. A resume removes all scalars after the
-checkpoint from TensorBoard's event files, so that no iteration occurs twice. Weights & Biases receives only the name,
-the composed config, and the scalars of a run. rsl_rl's own writer is not used: it also sends the local path and a git
-diff, takes the account from ``WANDB_USERNAME`` for a team, and uploads every video.
+An event file is a sequence of records: length (8 bytes), checksum of the length, content (an ``Event`` message),
+checksum of the content. Weights & Biases receives only name, config, and scalars of a run. rsl_rl's own writer is not
+used: it also sends the local path and a git diff, and uploads every video.
 """
 
 from __future__ import annotations
@@ -99,10 +97,9 @@ _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x
 
 
 class WandbLog:
-    """A context manager that sends the scalars of a training to Weights & Biases.
+    """A context manager that sends the scalars of a training to Weights & Biases, under one id also after a resume.
 
-    The environment variables of wandb (``WANDB_MODE``, ...) choose where wandb sends the scalars. In Weights & Biases,
-    a resumed run has the same id as before the resume.
+    The environment variables of wandb (``WANDB_MODE``, ...) choose where wandb sends the scalars.
     """
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, object]) -> None:

@@ -1,8 +1,6 @@
 """Find the source folders of a training, and compare a run's source code and machine with the current ones.
 
-A training's source folders contain this package, the user's projects and configs, and further imported packages. If
-source code, versions, hardware, threads, or environment variables change, a resumed run may differ from an
-uninterrupted run.
+A training's source folders are this package, the user's projects and configs, and further imported packages.
 """
 
 from __future__ import annotations
@@ -34,8 +32,8 @@ _CALLS = ("_target_", "class_name")
 def source_roots(composed: Composed) -> list[Path]:
     """Return the folders whose source code a training depends on; the folder of this package comes first.
 
-    The list also contains the user's projects, Hydra's config folders, and packages named in keys such as ``_target_``.
-    The folder of the robot's file is not returned, because a run directory contains a copy of the robot.
+    Packages that keys such as ``_target_`` name belong to them. The folder of the robot's file does not, because a run
+    directory contains a copy of the robot.
     """
     folders = list(composed.config_dirs)
     for source in composed.loader.repository_used.get_sources():
@@ -130,8 +128,7 @@ def differences_now(
 ) -> list[FactDifference]:
     """Return how this process differs from a run in source, versions, hardware, threads, and environment variables.
 
-    Differences in hardware, threads, or environment variables are returned only if they can change training results.
-    ``threads`` is the dictionary that ``set_threads`` returned for this process.
+    Differences that cannot change training results are omitted. ``set_threads`` returned ``threads``.
     """
     now = ProcessFacts(
         versions=environment.versions(),

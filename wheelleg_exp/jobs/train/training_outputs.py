@@ -81,10 +81,7 @@ class Outputs:
                 error.add_note(f"the files could not be closed: {second}")
 
     def write(self, iteration: Iteration, due: bool) -> dict[str, str]:
-        """Write the scalars of one training iteration and the digests (hashes) of its state; return the digests.
-
-        If ``due`` is true, the training writes a regular checkpoint after this iteration.
-        """
+        """Write the scalars and state digests of an iteration; return the digests. If ``due``, a checkpoint follows."""
         # Do not create a new, incomplete run directory if the user has removed the directory.
         if not self._directory.iterations.exists():
             message = f"'{self._directory.path}' was removed while it was written"

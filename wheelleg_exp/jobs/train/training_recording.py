@@ -28,10 +28,9 @@ _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 class Films:
     """A context manager that makes videos of the first recorded environment, without any effect on the training.
 
-    A video starts with every ``video_every``-th training iteration. A video ends after the iteration that completes
-    ``steps`` control steps, or when the next video starts. The video's robot positions are kept in memory, and rendered
-    between two training iterations. After a rendering error, the training continues without videos, and ``ended``
-    describes the error.
+    A video starts with every ``video_every``-th iteration, and ends after ``steps`` control steps or when the next
+    video starts. It is rendered between two iterations. After a rendering error, which ``ended`` describes, there are
+    no videos.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:
@@ -103,15 +102,11 @@ def _pictures(env: ManagerBasedRLEnv) -> LivePictures:
 
 
 class TrainingRecording(ObservingRecording):
-    """Records a training while entered.
+    """A context manager that records a training: the scalars of each iteration, and sample episodes.
 
-    ``write`` writes the data of each training iteration to the recording file. With less than 16 steps per rollout, the
-    last frames may be written one iteration later. At every ``interval``-th iteration, some episodes are recorded,
-    unless the recording file could become too large. In each environment, whole episodes are recorded until they have
-    at least ``steps`` frames together. A resumed run records the same episodes as an uninterrupted run.
-
-    A ``start_iteration`` above 0 continues the run's recording: frames after the environment's present control step are
-    dropped, and an unfinished sample continues.
+    At every ``interval``-th iteration, whole episodes are recorded in each environment until they have at least
+    ``steps`` frames together, unless the file could become too large. A resumed run records the same episodes. A
+    ``start_iteration`` above 0 continues the run's recording: frames after the present control step are dropped.
     """
 
     def __init__(
