@@ -1,21 +1,9 @@
 """Measure how well a policy works, in physical units. All policies run in the same fixed scenarios.
 
-``evaluate(env_cfg, mjcf, make_policy, protocol, seed)`` runs a policy in the scenarios of an evaluation protocol. It
-returns an ``Evaluation``: one row per episode, and metrics with their intervals. Python imports ``evaluate`` and its
-result classes at the first use, because their modules import torch.
-
-| module | offers |
-|---|---|
-| ``protocol_options`` | the options of a protocol: ``configs/protocol/`` |
-| ``scenarios`` | the table of commands, and its sha256 |
-| ``evaluation_env`` | the environment of a task for an evaluation; its wheels and mirrored joints |
-| ``policy_rollout``, ``trajectories`` | N episodes without a reset, as tensors over time |
-| ``motion_columns``, ``terrain_tests``, ``disturbance_tests`` | columns of episodes, by test |
-| ``metric_catalogue`` | all metrics, and their intervals |
-| ``protocol`` | all tests of a protocol: the entry point |
-| ``result`` | the evaluation's result |
-| ``method_comparison`` | intervals over training seeds; tests of paired episodes |
-| ``lqr_balancer`` | a linear-quadratic balancer as a reference |
+``protocol.evaluate`` runs a policy in all tests of a protocol (``protocol_options``, ``scenarios``) and returns a
+``result.Evaluation``: one row per episode, and metrics with intervals (``metric_catalogue``). The columns of the rows
+are in ``motion_columns``, ``terrain_tests``, and ``disturbance_tests``. ``method_comparison`` compares evaluations, and
+``lqr_balancer`` is a reference. ``evaluate`` is imported at the first use, because it imports torch.
 """
 
 from typing import TYPE_CHECKING

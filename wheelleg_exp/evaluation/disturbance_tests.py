@@ -1,7 +1,7 @@
 """Tests with disturbances: pushes and changed worlds.
 
-The push test finds by bisection the hardest push that a standing robot survives, and measures the recovery time after a
-push of a fixed strength. The robustness test changes one property of the simulation at a time, such as friction.
+The push test finds the hardest push that a standing robot survives, and measures the recovery from a fixed push. The
+robustness test changes one property of the simulation at a time, such as friction.
 """
 
 from __future__ import annotations
@@ -68,12 +68,11 @@ def push_columns(
 ) -> tuple[Columns, Trajectories]:
     """Return each episode's hardest survived push, and its recovery from a push of ``reference`` m/s, (N,) each.
 
-    ``limit_m_s`` is the hardest survived push, found by bisection between 0 and ``highest`` m/s in ``iterations``
-    simulations from the same start. ``limit_m_s`` is 0 if the robot falls after every push. ``limit_normalised`` is
-    ``limit_m_s`` divided by √(g h), where h is the height of the base before the push. ``recovery_s`` is the time from
-    the push of ``reference`` m/s until tilt and height stay in their tolerance bands. ``recovery_s`` is NaN if the
-    robot falls, or if tilt and height never leave their bands. ``recovered`` is 1 if the robot does not fall and its
-    tilt and height stay in their bands from ``within_s`` on, else 0.
+    ``limit_m_s`` is found by bisection between 0 and ``highest`` m/s in ``iterations`` simulations from the same start;
+    0 if the robot falls after every push. ``limit_normalised`` is ``limit_m_s`` / √(g h), where h is the height of the
+    base before the push. ``recovery_s`` is the time from the push until tilt and height stay in their tolerance bands;
+    NaN if the robot falls, or if they never leave their bands. ``recovered`` is 1 if the robot does not fall and tilt
+    and height stay in their bands from ``within_s`` on, else 0.
     """
     push_by, low = pushes(rollout, options), torch.zeros(rollout.scenarios.size, device=rollout.env.device)
     high = torch.full_like(low, float(options.highest))
@@ -127,10 +126,7 @@ class World:
 
 
 def worlds(env: EnvOptions, options: Robust) -> Iterator[World]:
-    """Yield the unchanged simulation (``nominal``) and all variants of the simulation for the robustness test.
-
-    Each variant changes one property by one value, except ``combined``, which makes several changes at once.
-    """
+    """Yield the unchanged simulation (``nominal``), each change of one property, and ``combined``, several changes."""
     yield World("nominal", 0.0, env)
     for name in PROPERTIES:
         for value in getattr(options, name):
@@ -149,10 +145,7 @@ def world(env: EnvOptions, options: Robust, name: str, value: float) -> World:
 
 
 def changed(env: EnvOptions, options: Robust, name: str, value: float) -> EnvOptions:
-    """Return the options of the environment in which the property ``name`` has the given value.
-
-    Kicks and platforms do not change the options: ``disturbances`` simulates them.
-    """
+    """Return the options with a changed property; kicks and platforms do not change them (see ``disturbances``)."""
     pair, zero = [value, value], [0.0, 0.0]
     if name == "friction":
         env = on_ground(env, {**env.scene.terrain, "static_friction": value, "dynamic_friction": value})
@@ -205,9 +198,8 @@ def _with_event(env: EnvOptions, what: str, parameters: Mapping[str, object], **
 def margin(survival: Callable[[float], float], highest: float, options: Robust, step: float = 0.0) -> float:
     """Return the largest change that a policy survives, found by bisection between 0 and ``highest``.
 
-    ``survival`` returns the share of episodes that survive a change. A change counts as survived from
-    ``margin_survival`` on. With ``step``, only multiples of ``step`` are tried. The result is ``highest`` if the policy
-    survives ``highest``.
+    ``survival`` returns the share of episodes that survive a change, of which ``margin_survival`` must survive. With
+    ``step``, only multiples of ``step`` are tried.
     """
 
     def rounded(value: float) -> float:

@@ -1,7 +1,6 @@
 """Build the environment of a task for an evaluation, and find the wheels and mirrored joints of the robot.
 
-The environment of an evaluation has the task's robot, start states, and observations, but no pushes. Wheels and
-mirrored joints are identified by geometry, never by name.
+Wheels and mirrored joints are identified by geometry, never by name.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ def evaluation_options(
     """Return the options of a task's environment with the changes that an evaluation needs.
 
     Events within an episode, time-outs, rewards, curricula, and recorders are removed. Commands, failure terminations,
-    observations with noise, and events at startup and reset remain. ``ground`` selects flat ground or the task's own
-    ground.
+    observations with noise, and events at startup and reset remain.
     """
     env = without_pushes(env if protocol.realism == "own" else without_realism(env))
     if protocol.command not in env.commands:

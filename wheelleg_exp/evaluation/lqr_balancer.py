@@ -90,10 +90,7 @@ class Pendulum:
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
-    """Return a robot's pendulum model in the default pose without randomisation, and the robot's anatomy.
-
-    ``pendulum_of`` raises ConfigError unless the robot stands on driven, parallel wheels of one axle.
-    """
+    """Return a robot's pendulum model in the default pose and its anatomy; ConfigError unless it stands on one axle."""
     robot, model = env.scene.robot, env.scene.model
     data = at_default(model, robot)
     driven = [name for actuator in robot.actuators.values() for name in actuator.joint_names]
@@ -212,10 +209,7 @@ class Reference:
         return self._actions(targets)
 
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        """Update the estimate of each robot's balanced pitch in a control step, and return this pitch, rad, (N,).
-
-        ``fresh`` (N,) is true if a new episode starts; ``state`` (3, N) is pitch, pitch rate, and wheel speed.
-        """
+        """Update and return the balanced pitch, rad, (N,); ``state`` (3, N) is pitch, pitch rate, and wheel speed."""
         a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
         _, pitching, rolling = (state - self._before) / dt

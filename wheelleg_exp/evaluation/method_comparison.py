@@ -1,7 +1,4 @@
-"""Compare evaluations: one method over several training seeds, and one method against another.
-
-The functions ``verdict`` and ``push_verdict`` describe differences between methods in sentences.
-"""
+"""Compare evaluations: one method over several training seeds, and one method against another."""
 
 from __future__ import annotations
 
@@ -128,8 +125,8 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return a metric's mean over S training seeds with a percentile interval of a bootstrap over seeds and episodes.
 
-    ``values`` (S,) is the metric's value for each seed. For each seed, ``drawn`` contains B bootstrap values of the
-    metric, (B,). With one training seed, the bootstrap interval covers only the variation between episodes.
+    ``values`` (S,) and B bootstrap values ``drawn`` (B,) belong to each seed. The interval of one seed covers only
+    episodes.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
@@ -167,9 +164,7 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
     """Return a metric's noise floor: the 95 % quantile of ``|a - b|`` for random bootstrap values a and b.
 
-    If the same experiment is repeated, the two results differ by more than the noise floor in 5 % of cases. If a
-    metric's bootstrap values are normally distributed, the metric's noise floor is 1.96 √2 times their standard
-    deviation.
+    It is 1.96 √2 times the standard deviation of normally distributed values.
     """
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))

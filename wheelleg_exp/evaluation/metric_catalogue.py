@@ -1,7 +1,6 @@
 """Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
 
-``POSTURE`` and ``MOTION`` declare metrics with one row each: a formula for the column of episodes, its unit, and its
-reduction. The function ``metrics_of`` returns all metrics of one test, such as ``walk`` or ``push``.
+``POSTURE`` and ``MOTION`` declare metrics with one row each, and ``metrics_of`` returns all metrics of one test.
 """
 
 from __future__ import annotations

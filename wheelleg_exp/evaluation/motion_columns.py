@@ -1,8 +1,4 @@
-"""Compute columns (one number per episode) of standing, walking, and stepping episodes.
-
-The columns of an evaluation describe drift, tracking errors, responses to command steps, and motor effort. The module
-``metric_catalogue`` computes further columns, such as power.
-"""
+"""Compute columns (one number per episode): drift, tracking errors, responses to command steps, and motor effort."""
 
 from __future__ import annotations
 
@@ -24,10 +20,9 @@ _SPEED_HZ = 10.0  # Signal power above 10 Hz counts as chatter, because a robot 
 
 @dataclass(frozen=True)
 class Motion:
-    """The recorded motion of N episodes, with methods that average over the steps after the settling time.
+    """The recorded motion of N episodes, with methods that average over the steps after the settling time ``settle_s``.
 
-    ``made`` contains the trajectories of the N episodes. ``settle_s`` is the settling time, s. ``target`` is the target
-    height of the base, m, one for all episodes or (N,).
+    ``target`` is the target height of the base, m, one for all episodes or (N,).
     """
 
     made: Trajectories
@@ -124,8 +119,8 @@ class Motion:
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
 
-    For an episode without a failure, ``time_to_failure_s`` is the episode length. Because episodes have a limited
-    length, the mean of ``time_to_failure_s`` underestimates the true mean time to failure.
+    ``time_to_failure_s`` of an episode without a failure is the episode length, so that the mean underestimates the
+    truth.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -140,9 +135,8 @@ def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
 def drift(made: Trajectories, settle_s: float) -> Columns:
     """Return how far each of N robots drifts from its pose at the end of the settling time.
 
-    ``drift_max_m`` is a robot's largest horizontal distance from its position at the time ``settle_s``.
-    ``yaw_drift_rad`` is a robot's largest angle from its yaw at the time ``settle_s``. ``drift_speed_m_s`` and
-    ``yaw_drift_rad_s`` are least-squares slopes of position and yaw over time.
+    ``drift_max_m`` and ``yaw_drift_rad`` are the largest horizontal distance and angle from then on;
+    ``drift_speed_m_s`` and ``yaw_drift_rad_s`` are least-squares slopes of position and yaw over time.
     """
     counted = made.counted(settle_s)
     from_there = made.pos[..., :2] - at(made.pos[..., :2], counted)

@@ -1,8 +1,6 @@
 """Run a policy in N episodes in parallel, without a reset.
 
-The simulation of an ended episode continues, but metrics ignore its steps after the end. The class ``HeldCommand``
-fixes the values that the task's velocity command would draw randomly; ``hold_heights_and_jumps`` does the same for
-commanded heights and jumps.
+The simulation of an ended episode continues, but metrics ignore its steps after the end.
 """
 
 from __future__ import annotations
@@ -53,8 +51,8 @@ class HeldCommand:
 def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> None:
     """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-    Without heights in ``scenarios``, a base pose is the middle of the task's range. Each episode has one jump, at
-    ``jump_at_s``; inf for none. Raise ConfigError if the task lacks a command that the test needs.
+    Without heights in ``scenarios``, a pose is the middle of the task's range. Each episode has one jump at
+    ``jump_at_s``; inf for none. ConfigError means that the task lacks a command of the test.
     """
     terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
     poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]
@@ -93,9 +91,8 @@ FALLEN, NOT_FINITE, NOT_FINITE_ACTION = "tilt", "not finite", "action not finite
 class Rollout:
     """Runs policies in fixed scenarios, always from the same start states.
 
-    The environment of a rollout comes from ``evaluation_env.build`` and simulates one robot per scenario. ``endings``
-    names the causes that can end an episode: the task's terminations, then the causes that the rollout adds. ``starts``
-    is the sha256 of the start states and the randomised values in the last rollout.
+    ``endings`` names the causes that can end an episode: the task's terminations, then those that the rollout adds.
+    ``starts`` is the sha256 of the start states and the randomised values in the last rollout.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
@@ -132,9 +129,8 @@ class Rollout:
     ) -> Trajectories:
         """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
-        The policy maps observations by group to raw actions (N, A). After each control step, ``progress`` is called
-        with the number of finished steps and the number of all steps. ``disturb`` is called with the number of each
-        control step, before the step.
+        The policy maps observations by group to raw actions (N, A). ``progress`` is called with the numbers of finished
+        and of all steps after each control step, and ``disturb`` with the number of the step before it.
         """
         env = self.env
         observations = self.start(seed)

@@ -71,10 +71,9 @@ def evaluate(
 ) -> Evaluation:
     """Run a policy in the scenarios of an evaluation protocol and compute the protocol's metrics.
 
-    ``env_cfg`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a
-    policy, which maps observations by group to raw actions (N, A). Before each rollout, the policy's method ``reset``
-    is called, if the policy has one. The default of ``seed`` is the seed of the evaluation protocol. ``progress`` is
-    called with the name of a test, the number of finished control steps, and the number of all steps.
+    ``env_cfg`` and ``protocol`` are config sections. ``make_policy`` takes an environment and returns a policy, which
+    maps observations by group to raw actions (N, A), and whose method ``reset`` is called before each rollout if it
+    exists. ``progress`` is called with the name of a test, the number of finished control steps, and that of all steps.
     """
     options = read_section(protocol_options.Protocol, protocol, "protocol")
     seed = options.seed if seed is None else seed
@@ -93,10 +92,7 @@ def evaluate(
 
 
 def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, object]) -> list[str]:
-    """Return the names of the metrics that ``evaluate`` would compute, from empty trajectories: nothing is simulated.
-
-    Raise ConfigError if the task lacks something that a test needs, such as a command.
-    """
+    """Return the names of the metrics of ``evaluate`` without a simulation; ConfigError if the task lacks a command."""
     options, found = read_section(protocol_options.Protocol, protocol, "protocol"), list[str]()
     subject = Subject(read_env(env), mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
     for table in _tables(options):

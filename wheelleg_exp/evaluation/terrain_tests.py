@@ -1,8 +1,7 @@
 """Tests on rough ground, with their columns: one number per episode.
 
-In the test ``terrain``, each robot drives straight on one terrain tile of a given kind and level. In the test
-``strip``, each robot drives from level ground over a strip of rough ground to level ground. The test ``strip`` measures
-the motion of each robot before, on, and behind the rough ground.
+In the test ``terrain``, each robot drives straight on one tile. In the test ``strip``, each robot drives from level
+ground over a strip of rough ground to level ground.
 """
 
 from __future__ import annotations
@@ -80,10 +79,7 @@ _STRIP_ROOM = 1.0  # level ground, m
 
 
 def strip_ground(options: Strip, terrain: Node, seed: int) -> Node:
-    """Return a terrain config with one column per strip of rough ground, one row, and a border of level ground.
-
-    The ground has the friction of ``terrain``, the terrain config of the task.
-    """
+    """Return a terrain config with one strip of rough ground per column, in level ground of the task's friction."""
     # The outermost points of a rough strip have height 0, so that the strip has no step to the level ground.
     rim = options.horizontal_scale
     noise = {"_target_": "wheelleg_exp.sim.terrain.UniformNoise", "proportion": 1.0, "border_width": rim}
@@ -136,13 +132,11 @@ def phases(made: Trajectories, options: Strip, settle_s: float) -> dict[str, tor
 def crossing(made: Trajectories, options: Strip, settle_s: float) -> Columns:
     """Return columns (N,) on how each robot crosses a strip of rough ground; NaN for a robot that does not reach it.
 
-    ``distance_ratio`` and ``success`` have the same meaning as in the function ``ways``. ``error_vx_before``,
-    ``error_vx_on``, and ``error_vx_behind`` are RMS errors of a robot's forward speed before, on, and behind a strip of
-    rough ground. ``swing_rad_before``, ``swing_rad_on``, and ``swing_rad_behind`` are RMS deviations of a robot's pitch
-    from its mean pitch before a strip of rough ground. ``recovery_s`` is the time from the end of a strip of rough
-    ground until a robot's pitch is quiet. A pitch is quiet if its RMS deviation from the mean before the strip is at
-    most ``max(quiet_floor, quiet_factor * swing_rad_before)`` for ``recovered_s`` seconds. ``recovered`` is 1 if the
-    robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
+    ``distance_ratio`` and ``success`` are those of ``ways``. ``error_vx_before``, ``_on``, and ``_behind`` are RMS
+    errors of the forward speed; ``swing_rad_before``, ``_on``, and ``_behind`` are RMS deviations of the pitch from its
+    mean before the strip. ``recovery_s`` is the time from the end of the strip until the pitch is quiet: for
+    ``recovered_s`` seconds, its RMS deviation is at most ``max(quiet_floor, quiet_factor * swing_rad_before)``.
+    ``recovered`` is 1 if the robot did not fall and ``recovery_s`` is at most ``within_s``, else 0.
     """
     found = phases(made, options, settle_s)
     columns = _success(made, options)

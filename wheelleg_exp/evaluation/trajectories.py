@@ -1,7 +1,4 @@
-"""Store the trajectories of a rollout as tensors over time, and compute means over masked steps.
-
-The class ``EffortMeter`` sums torque and mechanical power over the physics steps of each control step.
-"""
+"""Store the trajectories of a rollout as tensors over time, and compute means over masked steps."""
 
 from __future__ import annotations
 
