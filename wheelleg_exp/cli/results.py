@@ -45,12 +45,8 @@ def run(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import Evaluator, found
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.result_record import (
-        compare_with_reference,
-        earlier_manifests,
-        require_one_method,
-        write_results,
-    )
+    from wheelleg_exp.jobs.compare_evaluations import compare
+    from wheelleg_exp.jobs.result_record import earlier_manifests, require_one_method, write_results
 
     names = [word for word in args.runs if not is_override(word)]
     words = [word for word in args.runs if is_override(word)]
@@ -66,7 +62,7 @@ def _write(args: argparse.Namespace) -> int:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         made = [evaluator.policy(one, words) for one in chosen]
         reference = evaluator.reference(made[0], words) if args.reference else None
-    compared = compare_with_reference(args.name, made, reference, args.command)
+    compared = compare(made, [] if reference is None else [reference], reference, args.command, args.name)
     for path in write_results(args.name, args.into, compared, made, reference, words):
         print(shown(path.absolute()))
     into = "" if args.into == FOLDER else f" --into {args.into}"

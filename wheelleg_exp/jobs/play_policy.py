@@ -62,9 +62,7 @@ class RunPolicy:
         about = {"run_id": self.run.id, "task": None if task is None else str(task), "agent": "policy", **self.about}
         options, env = self.settings.recording, self.adapter.env
         documents |= {"checkpoint": rollout_files.fenced(dump_json(self.about), "json")}
-        return rollout_files.EpisodeRecording(
-            path, env, options, purpose="play", name=folder.name, about=about, documents=documents
-        )
+        return rollout_files.EpisodeRecording(path, env, options, name=folder.name, about=about, documents=documents)
 
 
 def prepare_policy(
@@ -129,7 +127,7 @@ def play(
 ) -> Played:
     """Apply the mean action of a policy (by default the last checkpoint) for one episode of each environment."""
     prepared = prepare_policy(run, checkpoint, overrides, display)
-    settings, adapter, env = prepared.settings, prepared.adapter, prepared.adapter.env
+    settings, env = prepared.settings, prepared.adapter.env
     settle_s = float(settings.play.settle_s)
     meter, motion = StandMeter(env, settle_s), MotionMeter(env, settle_s)
     env.observers += [meter.observe, motion.observe]
@@ -140,7 +138,7 @@ def play(
         if recording is not None:
             recording.warn(display.note)
         with recording or nullcontext():
-            _roll(adapter, prepared.policy, meter, failures, display)
+            _roll(prepared, meter, failures, display)
             content |= meter.figures().as_dict() | vars(motion.figures())
             if recording is not None:
                 recording.figures(content)
@@ -154,17 +152,11 @@ def play(
 
 @ending_as(SimulationFailure)
 @torch.inference_mode()
-def _roll(
-    adapter: RslRlVecEnv,
-    policy: Callable[..., torch.Tensor],
-    meter: StandMeter,
-    failures: FailureCount,
-    display: Display,
-) -> None:
+def _roll(prepared: RunPolicy, meter: StandMeter, failures: FailureCount, display: Display) -> None:
     """Step the environments until each environment has finished its first episode."""
-    env = adapter.env
+    adapter, env = prepared.adapter, prepared.adapter.env
     for step in range(env.max_episode_length):
-        actions = policy(adapter.get_observations())
+        actions = prepared.policy(adapter.get_observations())
         require_finite_actions(env, actions)
         *_, extras = adapter.step(actions)
         failures.take(extras)

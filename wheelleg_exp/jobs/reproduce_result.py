@@ -10,6 +10,7 @@ from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs import result_record
+from wheelleg_exp.jobs.compare_evaluations import compare
 from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
 from wheelleg_exp.jobs.result_record import EvaluationNumbers, MetricNumbers, Recipe, ResultManifest, ResultRecord
 from wheelleg_exp.jobs.train.source_roots import shorten
@@ -108,7 +109,8 @@ def _differences(record: ResultRecord, runs: Sequence[Evaluated], reference: Eva
             equal = False
             yield f"reference: {line}"
     if equal:
-        compared = result_record.compare_with_reference(record["name"], runs, reference, _COMMAND)
+        against = [] if reference is None else [reference]
+        compared = compare(runs, against, reference, _COMMAND, record["name"])
         now = json_plain(result_record.build_record(record["name"], compared, runs, reference, record["words"]))
         rest = [key for key in dict.fromkeys([*record, *now]) if key not in ("runs", "reference")]
         yield from _leaf_differences({key: record.get(key) for key in rest}, {key: now.get(key) for key in rest})

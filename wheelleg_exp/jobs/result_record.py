@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import Any, NotRequired, TypedDict, cast
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
-from wheelleg_exp.jobs.compare_evaluations import Compared, compare
+from wheelleg_exp.jobs.compare_evaluations import Compared
 from wheelleg_exp.jobs.evaluate_policy import Evaluated
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
@@ -58,13 +58,10 @@ class EvaluationNumbers(TypedDict):
     metrics: Mapping[str, MetricNumbers]
 
 
-class _Profile(TypedDict, total=False):
-    profile: str | None
-
-
-class About(_Profile):
+class About(TypedDict):
     """The robot's profile, and the steps of the evaluation, s."""
 
+    profile: NotRequired[str | None]
     physics_dt_s: float
     step_dt_s: float
 
@@ -267,13 +264,6 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
         return set()
     found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
     return {path for path in found if path.parent == folder / name and path.is_file()}
-
-
-def compare_with_reference(
-    name: str, runs: Sequence[Evaluated], reference: Evaluated | None, command: Sequence[str]
-) -> Compared:
-    """Compare evaluated runs with each other and, unless ``reference`` is None, with an LQR controller's evaluation."""
-    return compare(runs, [] if reference is None else [reference], reference, command, name)
 
 
 def build_record(

@@ -24,7 +24,7 @@ from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import dump_json, read_text, sha256, while_running, write_bytes
 from wheelleg_exp.managers.recorder_manager import Arrays
 from wheelleg_exp.plain_data import dump_yaml, json_value
-from wheelleg_exp.recording.blueprint import FIGURES, Purpose
+from wheelleg_exp.recording.blueprint import FIGURES
 from wheelleg_exp.recording.writing.live_view import LiveView
 from wheelleg_exp.recording.writing.recorder import Recorder
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
@@ -103,7 +103,7 @@ class ObservingRecording:
 class EpisodeRecording(ObservingRecording):
     """A context manager that records every control step of a rollout, until the recording file has its largest size.
 
-    The file receives each simulated second as soon as it has ended. ``purpose`` selects the layout of the viewer.
+    The file receives each simulated second as soon as it has ended.
     """
 
     def __init__(
@@ -112,14 +112,13 @@ class EpisodeRecording(ObservingRecording):
         env: ManagerBasedRLEnv,
         options: RecordingOptions | PlayRecording,
         *,
-        purpose: Purpose,
         name: str,
         about: Mapping[str, object],
         documents: Mapping[str, str],
     ) -> None:
         ids, every = options.env_ids, max(round(1.0 / env.step_dt), 1)
         recorder = Recorder(
-            path, env, recording_id=name, name=name, env_ids=ids, purpose=purpose, about=about, flush_every=every
+            path, env, recording_id=name, name=name, env_ids=ids, purpose="play", about=about, flush_every=every
         )
         for title, text in {**documents, FIGURES: "None yet: the episode is not over."}.items():
             recorder.document(title, text)

@@ -66,7 +66,7 @@ def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: D
             about = {"run_id": directory.id, "task": task, "agent": kind}
             title, documents = f"{directory.id} {kind} agent", config_document(composed.config)
             recording = EpisodeRecording(
-                directory.recording, env, options, purpose="play", name=title, about=about, documents=documents
+                directory.recording, env, options, name=title, about=about, documents=documents
             )
             recording.warn(display.note)
         shape = (env.num_envs, env.action_manager.total_action_dim)

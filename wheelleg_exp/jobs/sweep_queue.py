@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from wheelleg_exp.child_process import Child, Event, listen, parse_event
 from wheelleg_exp.errors import ConfigError
@@ -91,25 +91,12 @@ class QueueWorker:
             file.write(json.dumps(event) + "\n")
 
 
-class Ticket(Protocol):
-    """The handle of a submitted job in a queue."""
-
-    def gone(self) -> bool:
-        """Return whether the job has left the queue for any reason."""
-
-    def cancel(self) -> None:
-        """Remove a waiting job from the queue; end a running job."""
-
-    def why(self) -> str:
-        """Return the queue's reason why a job died before it sent the event ``ended``."""
-
-
 class QueuedJob:
     """A job in a queue, whose ``QueueWorker`` writes the file that ``events`` reads; ``ended`` is its last event."""
 
     def __init__(self, folder: Path, request: JobRequest) -> None:
         self.folder = folder.absolute()
-        self.ticket: Ticket | None = None
+        self.ticket: _SubmititTicket | _RayTicket | None = None
         self.ended: Event | None = None
         self._read, self._began, self._stopped = 0, False, False
         path = [str(Path(entry).absolute()) for entry in _PATH]
@@ -203,7 +190,7 @@ class Queue:
         self._pending.append(job)
         return job
 
-    def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
+    def submit(self, jobs: Collection[QueuedJob]) -> Sequence[_SubmititTicket | _RayTicket]:
         """Submit jobs to the queue, and return one ticket per job."""
         raise NotImplementedError
 
@@ -249,7 +236,7 @@ class SubmititLauncher(Queue):
             expected = "settings of hydra-submitit-launcher, on a machine that has what they ask for"
             raise ConfigError(message, key="hydra.launcher", expected=expected) from error
 
-    def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
+    def submit(self, jobs: Collection[QueuedJob]) -> Sequence[_SubmititTicket | _RayTicket]:
         """Submit all given jobs as one Slurm job array."""
         try:
             with self._executor.batch():
@@ -262,6 +249,8 @@ class SubmititLauncher(Queue):
 
 
 class _SubmititTicket:
+    """A job in a queue: whether it has left the queue, how to remove or end it, and why it died without an event."""
+
     def __init__(self, job: Any) -> None:
         self._job = job
 
@@ -304,7 +293,7 @@ class RayLauncher(Queue):
             expected = "init: what ray.init takes, such as address; remote: what ray.remote takes, such as num_cpus"
             raise ConfigError(message, key="hydra.launcher.ray", expected=expected) from error
 
-    def submit(self, jobs: Collection[QueuedJob]) -> list[Ticket]:
+    def submit(self, jobs: Collection[QueuedJob]) -> Sequence[_SubmititTicket | _RayTicket]:
         """Submit each given job as one Ray task."""
         return [_RayTicket(self._task.remote(str(job.folder))) for job in jobs]
 

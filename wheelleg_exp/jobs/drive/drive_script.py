@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeGuard
 
@@ -37,11 +37,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Script:
-    """A drive script: its entries in order of time, its duration, and the text of its YAML file."""
+    """A drive script: its entries in order of time, and its duration."""
 
     entries: list[Entry]
     duration_s: float
-    text: str = field(default="", repr=False)
 
 
 class ScriptPlayer:
@@ -70,7 +69,7 @@ class ScriptPlayer:
 
 def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Script:
     """Read a drive script; ConfigError names its wrong line. Without ``jumps``, ``jump`` is an unknown key."""
-    actions = [name for name in _ACTIONS if jumps or name != "jump"]
+    names = [*_TIMES, *(axis.name for axis in axes), *(name for name in _ACTIONS if jumps or name != "jump")]
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
@@ -87,13 +86,22 @@ def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Scri
         if not isinstance(item, dict):
             message = "the script entry is not a command"
             raise ConfigError(message, key=f"[{index}]", where=place.of(), expected=_example(axes))
-        before = entries[-1].at if entries else 0.0
-        entry, end = _entry(item, place, {axis.name: axis for axis in axes}, actions, before, end)
-        entries.append(entry)
+        for key in item:
+            if key not in names:
+                expected, nearest = "one of " + ", ".join(names), nearest_name(str(key), names)
+                message, where = "unknown key in a script", place.of(key)
+                raise ConfigError(message, key=str(key), where=where, expected=expected, nearest=nearest)
+        at, before = _seconds(item, "at", place, default=end), entries[-1].at if entries else 0.0
+        if at < before:
+            message = f"{at:g} s is before the command above"
+            raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
+        values = {axis.name: _value(axis, item[axis.name], place) for axis in axes if axis.name in item}
+        entries.append(Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place)))
+        end = at + _seconds(item, "for", place, default=0.0)
     if "for" not in value[-1]:
         message = "the last entry does not give the end of the drive"
         raise ConfigError(message, where=places[-1].of(), key="for", expected="seconds")
-    return Script(entries, end, text)
+    return Script(entries, end)
 
 
 class _Place:
@@ -104,30 +112,6 @@ class _Place:
 
     def of(self, key: str | int | None = None) -> str:
         return f"{self._path}:{self._lines.get(key, self._line)}"
-
-
-def _entry(
-    item: Mapping[str, object],
-    place: _Place,
-    axes: Mapping[str, Axis],
-    actions: Sequence[str],
-    before: float,
-    end: float,
-) -> tuple[Entry, float]:
-    """Parse one entry of a drive script; return the entry and the simulated time (s) at which it ends."""
-    for key in item:
-        names = [*_TIMES, *axes, *actions]
-        if key not in names:
-            expected, nearest = "one of " + ", ".join(names), nearest_name(str(key), names)
-            message, where = "unknown key in a script", place.of(key)
-            raise ConfigError(message, key=str(key), where=where, expected=expected, nearest=nearest)
-    at = _seconds(item, "at", place, default=end)
-    if at < before:
-        message = f"{at:g} s is before the command above"
-        raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
-    values = {name: _value(axes[name], item[name], place) for name in item if name in axes}
-    entry = Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place))
-    return entry, at + _seconds(item, "for", place, default=0.0)
 
 
 def _seconds(item: Mapping[str, object], key: str, place: _Place, *, default: float) -> float:

@@ -6,7 +6,7 @@ import copy
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +131,7 @@ class Drive:
     checkpoint: Path
     folder: Path
     recording: Path | None
-    figures: dict[str, Any] = field(default_factory=dict)
+    figures: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -235,24 +235,23 @@ def _drive_one(
     return made, _End(choice, session.env.scene.get_state(), prepared.tree["env"]["scene"])
 
 
+@dataclass
 class _Driver:
     """Simulates a driven robot until a script ends, the user stops, or the user chooses a new checkpoint or ground."""
 
-    def __init__(
-        self,
-        session: DriveSession,
-        script: Script | None,
-        options: Mapping[str, Any],
-        display: Display,
-        view: DrivePage | None,
-        stop: StopRequest,
-    ) -> None:
-        self._session, self._display, self._view, self._stop = session, display, view, stop
-        self._controls: Controls = session.controls
-        step_dt = session.env.step_dt
-        self._hand = None if script is None else ScriptPlayer(script, self._controls, step_dt)
-        self._pace = None if view is None else RealTimePacer(step_dt, float(options["frames_per_s"]))
-        self._shown_s = 0.0 if view is None else float(options["fall_shown_s"])
+    session: DriveSession
+    script: Script | None
+    options: Mapping[str, Any]  # the config section ``drive``
+    display: Display
+    view: DrivePage | None
+    stop: StopRequest
+
+    def __post_init__(self) -> None:
+        self._controls: Controls = self.session.controls
+        step_dt = self.session.env.step_dt
+        self._hand = None if self.script is None else ScriptPlayer(self.script, self._controls, step_dt)
+        self._pace = None if self.view is None else RealTimePacer(step_dt, float(self.options["frames_per_s"]))
+        self._shown_s = 0.0 if self.view is None else float(self.options["fall_shown_s"])
         self._fallen_at: float | None = None
 
     @ending_as(SimulationFailure)
@@ -265,32 +264,32 @@ class _Driver:
                     return None
                 if isinstance(request, Choose):
                     return request
-                self._session.obey(request)
-            if self._session.fallen is not None:
+                self.session.obey(request)
+            if self.session.fallen is not None:
                 # Reset a fallen robot after the web page has shown the fall for a moment.
                 now = time.monotonic()
                 self._fallen_at = now if self._fallen_at is None else self._fallen_at
                 if now - self._fallen_at >= self._shown_s:
-                    self._session.reset()
-                if self._session.fallen is None:
+                    self.session.reset()
+                if self.session.fallen is None:
                     self._fallen_at = None
             elif not self._controls.paused:
-                self._session.step()
-                if self._hand is not None and self._view is None:
-                    self._display.steps(self._session.steps, self._hand.last_step)
-            if self._pace is not None and self._view is not None:
+                self.session.step()
+                if self._hand is not None and self.view is None:
+                    self.display.steps(self.session.steps, self._hand.last_step)
+            if self._pace is not None and self.view is not None:
                 if self._pace.is_frame_due():
-                    self._view.show(self._session.status())
+                    self.view.show(self.session.status())
                 self._pace.wait(self._controls.speed)
         return None
 
     def _requests(self) -> list[Request]:
-        if self._hand is not None and not self._controls.paused and self._session.fallen is None:
-            self._hand.before(self._session.steps)
+        if self._hand is not None and not self._controls.paused and self.session.fallen is None:
+            self._hand.before(self.session.steps)
         return self._controls.take()
 
     def _is_over(self) -> bool:
-        if self._view is not None:
-            return self._stop.requested
-        self._stop.check()
-        return self._hand is None or self._session.steps >= self._hand.last_step
+        if self.view is not None:
+            return self.stop.requested
+        self.stop.check()
+        return self._hand is None or self.session.steps >= self._hand.last_step

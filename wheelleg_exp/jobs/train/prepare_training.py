@@ -5,10 +5,7 @@ only rank 0 creates the run directory.
 
 1. ``find_inputs``: check that the config can be recorded, find the networks of other runs, convert the robot.
 2. ``build_trainer``: build the environment, set the threads, build the networks and the trainer.
-3. Collect the seed, device, and host name of every rank.
-4. ``create_run``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
-
-If the preparation of a training fails, no run directory is created.
+3. ``prepare_recipe``: create the run directory, and write robot, configs, source snapshot, and manifest into it.
 """
 
 from __future__ import annotations
@@ -93,11 +90,39 @@ def prepare(composed: Composed, command: Sequence[str], display: Display, ranks:
 
 
 def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:
-    """Prepare a training from its inputs: all steps except ``find_inputs``."""
+    """Build a training from its inputs, and create its run directory with a snapshot of config and source code."""
     with ranks.agreed():
         trainer, threads = build_trainer(recipe, ranks)
     rank_facts = ranks.facts(recipe.experiment.seed, recipe.experiment.agent.device)
-    directory, manifest = create_run(recipe, trainer, threads, rank_facts, command, display)
+    config, env = recipe.experiment, trainer.env.env
+    directory = RunDirectory.create(config.run.root, config.task.name, config.seed, config.run.name)
+    try:
+        display.environment(env.describe())
+        save_robot(directory, recipe.asset, config.env.robot.asset, env.scene.model_digest())
+        manifest = start_run(
+            directory,
+            command=command,
+            params={"env": recipe.config["env"], "agent": recipe.config["agent"]},
+            hydra_files=recipe.hydra_files,
+            source_roots=[*recipe.source_roots, *loaded_outside(recipe.source_roots)],
+            seed=config.seed,
+            task=config.task.name,
+            threads=threads,
+            max_patch_mb=config.run.max_patch_mb,
+        )
+        folders = [str(folder) for folder in recipe.config_dirs]
+        manifest.record(engine=env.scene.sim.promise(), modules=module_digests(), config_dirs=folders)
+        if rank_facts is not None:
+            manifest.record(ranks=rank_facts)
+        if (initial := saved_initial(config.init_from, recipe.asset)) is not None:
+            manifest.record(init_from={**recipe.initial_run, **initial.facts})
+            source = recipe.initial_run.get("run") or initial.facts["named"]
+            display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
+        sync_folder(directory.path)
+    except BaseException:
+        if not (directory.path / MANIFEST_NAME).exists():  # A run directory without a manifest is useless: remove it.
+            shutil.rmtree(directory.path, ignore_errors=True)
+        raise
     for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
         display.note(line)
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
@@ -132,44 +157,3 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     initial = saved_initial(experiment.init_from, recipe.asset)
     trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
-
-
-def create_run(
-    recipe: Recipe,
-    trainer: Trainer,
-    threads: Mapping[str, object],
-    rank_facts: Mapping[str, object] | None,
-    command: Sequence[str],
-    display: Display,
-) -> tuple[RunDirectory, Manifest]:
-    """Create the run directory with a snapshot of config and source code; return the run directory and its manifest."""
-    config, env = recipe.experiment, trainer.env.env
-    directory = RunDirectory.create(config.run.root, config.task.name, config.seed, config.run.name)
-    try:
-        display.environment(env.describe())
-        save_robot(directory, recipe.asset, config.env.robot.asset, env.scene.model_digest())
-        manifest = start_run(
-            directory,
-            command=command,
-            params={"env": recipe.config["env"], "agent": recipe.config["agent"]},
-            hydra_files=recipe.hydra_files,
-            source_roots=[*recipe.source_roots, *loaded_outside(recipe.source_roots)],
-            seed=config.seed,
-            task=config.task.name,
-            threads=threads,
-            max_patch_mb=config.run.max_patch_mb,
-        )
-        folders = [str(folder) for folder in recipe.config_dirs]
-        manifest.record(engine=env.scene.sim.promise(), modules=module_digests(), config_dirs=folders)
-        if rank_facts is not None:
-            manifest.record(ranks=rank_facts)
-        if (initial := saved_initial(config.init_from, recipe.asset)) is not None:
-            manifest.record(init_from={**recipe.initial_run, **initial.facts})
-            source = recipe.initial_run.get("run") or initial.facts["named"]
-            display.note(f"starts with the {initial.facts['what']} of {source}, {initial.facts['checkpoint']}")
-        sync_folder(directory.path)
-    except BaseException:
-        if not (directory.path / MANIFEST_NAME).exists():  # A run directory without a manifest is useless: remove it.
-            shutil.rmtree(directory.path, ignore_errors=True)
-        raise
-    return directory, manifest

@@ -17,17 +17,7 @@ from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.plain_data import dump_yaml
-from wheelleg_exp.run.run_config import (
-    CONFIG,
-    OVERRIDES,
-    PARTS,
-    load_config,
-    load_params,
-    recorded_config,
-    recorded_overrides,
-    require_resolved,
-    upgrade_env_params,
-)
+from wheelleg_exp.run import run_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.terms.key_syntax import Keys
 from wheelleg_exp.terms.term_binding import RESERVED
@@ -59,20 +49,20 @@ _OBSERVATION_CHANGEABLE = ("noise", "clip", "scale", "enable_corruption")
 
 def recorded_tree(run: RunDirectory, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the composed config of a run from the run's snapshot."""
-    env, agent = load_params(run)
-    tree = recorded_config(run, variables or {})
+    env, agent = run_config.load_params(run)
+    tree = run_config.recorded_config(run, variables or {})
     for key, kind in (("seed", int), ("task", dict), ("recording", dict), ("run", dict)):
         if not isinstance(tree[key], kind):
             message = f"'{key}' is missing or wrong"
-            raise RunDirectoryError(message, key=str(run.path / CONFIG), expected="the config of the run")
+            raise RunDirectoryError(message, key=str(run.path / run_config.CONFIG), expected="the config of the run")
     earlier = {key: value for key, value in tree.items() if value is not None or key not in _NEW_KEYS}
-    return {**earlier, "env": upgrade_env_params(env), "agent": agent}
+    return {**earlier, "env": run_config.upgrade_env_params(env), "agent": agent}
 
 
 def change_settings(recorded: Mapping[str, object], overrides: Sequence[str]) -> tuple[dict[str, Any], list[Change]]:
     """Apply the overrides of a resume; return the new config and its changes, or raise ConfigError for a fixed key."""
     tree = apply_overrides(recorded, overrides)
-    require_resolved({part: tree.get(part) for part in PARTS})
+    run_config.require_resolved({part: tree.get(part) for part in run_config.PARTS})
     found = list(changes(recorded, tree, lambda was, now: type(was) is type(now) and bool(was == now)))
     with placing(overrides):
         for change in found:
@@ -119,16 +109,16 @@ def rewritten_files(
     """Return the run's config files with the changed settings as ``{path: text}``, or {} without a change."""
     if not found:
         return {}
-    config = load_config(run)
+    config = run_config.load_config(run)
     for change in found:
         _apply(config, change, tree)
     # The overrides of a resume replace overrides of the run with the same keys.
-    words = {_key(word): word for word in (*recorded_overrides(run), *overrides)}
+    words = {_key(word): word for word in (*run_config.recorded_overrides(run), *overrides)}
     return {
         "params/env.yaml": dump_yaml(tree["env"]),
         "params/agent.yaml": dump_yaml(tree["agent"]),
-        CONFIG: OmegaConf.to_yaml(OmegaConf.create(config)),
-        OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(list(words.values()))),
+        run_config.CONFIG: OmegaConf.to_yaml(OmegaConf.create(config)),
+        run_config.OVERRIDES: OmegaConf.to_yaml(OmegaConf.create(list(words.values()))),
     }
 
 
