@@ -9,9 +9,13 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from env.composed import composed
+
 from wheelleg_exp.anatomy.compiled_robot import Balance, Drive, Joint, RobotFacts
+from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Case, Finding
+from wheelleg_exp.terms.config_sections import read_section
 
 LEG_DRIVE = Drive("legs", stiffness=40.0, damping=2.0, effort=8.0, velocity=10.0)
 WHEEL_DRIVE = Drive("wheels", stiffness=0.0, damping=1.0, effort=0.4, velocity=20.0)
@@ -37,18 +41,25 @@ FACTS = RobotFacts(
 )
 
 _MDP = "wheelleg_exp.mdp."
+_STOCK = composed("task=stand").config
 CONFIG: dict[str, Any] = {
+    **_STOCK,
     "env": {
+        **_STOCK["env"],
         "num_envs": 8,
         "episode_length_s": 10.0,
         "decimation": 2,
-        "sim": {"dt": 0.01, "integrator": "implicitfast"},
-        "scene": {"terrain": {"static_friction": 0.6, "dynamic_friction": 0.4}},
-        "robot": {"friction_source": "static", "init_state": {"pos": [0.0, 0.0, 0.4]}},
+        "sim": {**_STOCK["env"]["sim"], "dt": 0.01},
+        "scene": {
+            "env_spacing": 1.0,
+            "terrain": {"_target_": "wheelleg_exp.sim.terrain.Plane", "static_friction": 0.6, "dynamic_friction": 0.4},
+            "sensors": {},
+        },
         **{section: {} for section in ("commands", "actions", "observations", "events", "rewards", "curriculum")},
         "terminations": {"time_out": {"_target_": _MDP + "terminations.time_out", "time_out": True}},
     },
     "agent": {
+        **_STOCK["agent"],
         "num_steps_per_env": 10,
         "max_iterations": 20,
         "average_iterations": 0,
@@ -58,6 +69,8 @@ CONFIG: dict[str, Any] = {
         "critic": {},
     },
 }
+CONFIG["env"]["robot"] |= {"friction_source": "static"}
+CONFIG["env"]["robot"]["init_state"] |= {"pos": [0.0, 0.0, 0.4]}
 
 
 def term(target: str, **settings: Any) -> dict[str, Any]:
@@ -68,13 +81,19 @@ def joints(*names: str) -> dict[str, Any]:
     return {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": list(names)}
 
 
+def _merged(old: Any, new: Any) -> Any:
+    if not isinstance(old, dict) or not isinstance(new, dict) or "_target_" in new:
+        return new
+    return {**old, **{name: _merged(old.get(name), value) for name, value in new.items()}}
+
+
 def case(facts: RobotFacts = FACTS, **sections: Any) -> Case:
     """Return the round case with changed sections of ``env``, or of the ``agent`` section."""
     config = copy.deepcopy(CONFIG)
     for name, value in sections.items():
         place = config["agent"] if name in config["agent"] else config["env"]
-        place[name] = {**place[name], **value} if isinstance(place.get(name), dict) else value
-    return Case(config, facts)
+        place[name] = _merged(place.get(name), value)
+    return Case(read_section(Experiment, config, ""), facts)
 
 
 def with_joint(name: str, **changes: Any) -> RobotFacts:

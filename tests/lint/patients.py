@@ -1,6 +1,5 @@
 """A robot without defects, as MJCF, into which tests insert single defects."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,12 +60,12 @@ def seeded(*changes: tuple[str, str], everywhere: bool = False) -> str:
 case_of = patch("wheelleg_exp.lint.diagnosis.compose", lambda words: composed(*words))(case_of_file)
 
 
-def patient(folder: Path, text: str = HEALTHY, **sections: Mapping[str, Any]) -> Case:
+def patient(folder: Path, text: str = HEALTHY, **sections: Any) -> Case:
     """Return the lint case of a robot, with replaced sections of ``env``."""
     file = folder / "robot.xml"
     file.write_text(text)
     case = case_of(file)
-    return replace(case, config={**case.config, "env": {**case.env, **sections}})
+    return replace(case, config=replace(case.config, env=replace(case.env, **sections)))
 
 
 def all_findings(case: Case) -> list[Finding]:

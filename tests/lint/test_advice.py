@@ -13,8 +13,10 @@ import pytest
 from lint.cases import CONFIG, FACTS, LEG, WHEEL, case, joints, term
 from wheelleg_exp.anatomy.compiled_robot import RobotFacts
 from wheelleg_exp.cli.main import main
+from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.lint.physics_check import RULES
 from wheelleg_exp.lint.rule import Case, Finding, above, at_least, at_most, below
+from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.terms.key_syntax import split_path
 
 # For many of these sizes, rounding to two digits would exceed a bound.
@@ -169,20 +171,20 @@ WITHOUT = {
 
 def changed(looked_at: Case, advice: Mapping[str, Any]) -> Case:
     """Return the case with changed settings, and with robot facts that follow from the settings."""
-    config, facts = copy.deepcopy(looked_at.config), looked_at.facts
+    config, facts = copy.deepcopy(plain_section(looked_at.config)), looked_at.facts
     for key, value in advice.items():
         path = split_path(key)
         if path[:3] == ("env", "robot", "actuators"):
             facts = replace(facts, joints={n: _driven(j, path[3], path[4], value) for n, j in facts.joints.items()})
             continue
         if path == ("env", "robot", "init_state", "pos"):
-            height = looked_at.env["robot"]["init_state"]["pos"][2]
+            height = looked_at.env.robot.init_state.pos[2]
             facts = replace(facts, clearance=facts.clearance + value[2] - height)
         node: Any = config
         for part in path[:-1]:
             node = node[part]
         node[path[-1]] = value
-    return Case(config, facts)
+    return Case(read_section(Experiment, config, ""), facts)
 
 
 def _driven(joint: Any, group: str, field: str, value: float) -> Any:

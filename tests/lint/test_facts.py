@@ -12,7 +12,7 @@ from sim.small_envs import ASSETS
 from wheelleg_exp.anatomy.collider_shapes import lowest_point
 from wheelleg_exp.anatomy.compiled_robot import RobotFacts, compiled_robot
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.lint.physics_check import task_robot
+from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.managers import SceneManager
 
 
@@ -76,7 +76,7 @@ def test_the_pendulum_over_the_axle(facts):
 
 
 def test_the_stock_robot_has_its_published_figures():
-    _, found = task_robot(compose())
+    found = examine(compose()).case.facts
     assert (found.mass, found.standing_height) == (pytest.approx(0.5), pytest.approx(0.06995, abs=1e-5))
     assert (found.clearance, found.wheel_radius) == (pytest.approx(0.015, abs=1e-4), pytest.approx(0.02))
     assert (found.track, found.balance.mass) == (pytest.approx(0.112), pytest.approx(0.38))

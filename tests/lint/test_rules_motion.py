@@ -166,7 +166,7 @@ def test_a_push_is_compared_with_the_capture_point():
     assert finding.figures["ratio"] == pytest.approx(0.1 / limit)
     assert found("push_size", push(0.13)) == []
     # A push that `realism` replaces never acts.
-    assert found("push_size", case(events=push(4.0).env["events"], realism={"replaces": ["push"]})) == []
+    assert found("push_size", case(events=push(4.0).env.events, realism={"replaces": ["push"]})) == []
     # Traction limits the push that a strong drive could catch.
     strong = with_joint("left", drive={"effort": 9.0})
     strong = replace(strong, joints={**strong.joints, "right": strong.joints["left"]})
@@ -195,7 +195,7 @@ def test_a_mean_of_weights_that_reaches_back_to_the_beginning_is_found():
     assert found("late_average", case(average_iterations=8)) == []  # The share is 0.875 to the power of 12, 0.20.
     assert found("late_average", case(average_iterations=1)) == found("late_average", case()) == []
     further = case(average_iterations=10)
-    assert found("late_average", replace(further, config={**further.config, "init_from": "latest"})) == []
+    assert found("late_average", replace(further, config=replace(further.config, init_from="latest"))) == []
 
 
 TILES = {

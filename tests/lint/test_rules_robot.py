@@ -420,7 +420,7 @@ def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):
     assert "1 link has a mass and no inertia, such as 'base': the tensor is computed from the shapes" in finding.message
     idle = read_urdf(tmp_path, effort=0)
     assert "'j' has an effort or velocity limit of 0 in the file" in found("placeholder_limits", idle)[0].message
-    assert found("placeholder_limits", replace(idle, config={**idle.config, "task": {}})) == []
+    assert found("placeholder_limits", replace(idle, of_task=True)) == []
     (finding,) = found("lost_in_conversion", read_urdf(tmp_path, low=2))
     assert "wrong way round" in finding.message
 

@@ -7,13 +7,11 @@ task for two seconds with random actions.
 
 from __future__ import annotations
 
-import copy
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,10 +26,13 @@ from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import Composed, compose
+from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.errors import AssetError, named_as
 from wheelleg_exp.lint.physics_check import RULES, examine
 from wheelleg_exp.lint.rule import Case, Finding
 from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.sim.options import RobotOptions
+from wheelleg_exp.terms.config_sections import read_section
 
 _ENVS, _SECONDS = 32, 2.0
 
@@ -41,9 +42,8 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
 
     The config must be valid, because ``random_rewards`` simulates 32 environments for two seconds.
     """
-    config = copy.deepcopy(composed.config)
-    config["env"]["num_envs"] = _ENVS
-    env = build_env(config, composed.asset_roots)
+    config = composed.config
+    env = build_env({**config, "env": {**config["env"], "num_envs": _ENVS}}, composed.asset_roots)
     stream = torch.Generator(device=env.device).manual_seed(int(config["seed"]))
     env.reset()
     steps = max(1, round(_SECONDS / env.step_dt))
@@ -55,37 +55,48 @@ def random_rewards(composed: Composed) -> Mapping[str, float]:
     return dict(zip(env.reward_manager.active_terms, (total / steps).tolist(), strict=True))
 
 
-Drives = robots.Drives
 _MJCF = (".xml", ".mjcf")
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 _MOVED = 1e-6  # rad or m
-_TERMS = ("commands", "actions", "events", "rewards", "terminations", "observations", "curriculum")
 
 
 def case_of_file(source: Path) -> Case:
     """Return the case of a robot file (USD, URDF, MJCF): the robot in the file's pose with its own drives."""
-    stock = compose(["task=stand"]).config["env"]
-    env = {**stock, **{name: {} for name in _TERMS}, "scene": {**stock["scene"], "sensors": {}}}
     with tempfile.TemporaryDirectory() as folder, named_as(Path(folder) / "model.xml", source):
         if source.suffix.lower() in _MJCF:
-            model = _model(source)
-            drives = _drives_of_mjcf(model)
-            return _file_case(source, env, _robot_of_mjcf(source, model), drives)
+            require_plain_file(source, "an MJCF file")
+            try:
+                model = mujoco.MjModel.from_xml_path(str(source))
+            except ValueError as error:
+                message = f"MuJoCo cannot read the robot file: {' '.join(str(error).split())}"
+                raise AssetError(message, where=str(source)) from None
+            return _file_case(source, _robot_of_mjcf(source, model), _drives_of_mjcf(model))
         conversion = convert(source, Path(folder) / "model.xml", base="floating")
         described = conversion.description
         positions = {dof.name: dof.position for dof in described.dofs if dof.kind != "ball"}
         robot = robots.provisional_robot(described.name, next(described.children(None)).pose.rotation, positions)
         followers = {coupling.joint for coupling in described.couplings}
         drives = {d.name: None if d.drive is None and d.name in followers else _drive(d) for d in described.dofs}
-        return _file_case(source, env, robot, drives, conversion)
+        return _file_case(source, robot, drives, conversion)
 
 
 def _file_case(
-    source: Path, env: Mapping[str, object], robot: dict[str, Any], drives: Drives, conversion: Conversion | None = None
+    source: Path, robot: Mapping[str, object], drives: robots.Drives, conversion: Conversion | None = None
 ) -> Case:
-    mjcf = conversion.output if conversion else source
-    config = {"env": {**env, "robot": robot}}
-    scene = SceneManager(config["env"], mjcf, 1).scene
+    stock = read_section(Experiment, compose(["task=stand"]).config, "")
+    env = replace(
+        stock.env,
+        robot=read_section(RobotOptions, robot, "env.robot"),
+        scene=replace(stock.env.scene, sensors={}),
+        commands={},
+        actions={},
+        observations={},
+        events={},
+        rewards={},
+        terminations={},
+        curriculum={},
+    )
+    scene = SceneManager(env, conversion.output if conversion else source, 1).scene
     if not scene.robot.joint_names:
         expected = "a robot with joints to drive"
         raise AssetError("the robot has no joints", where=str(source), expected=expected)
@@ -105,7 +116,8 @@ def _file_case(
     drawn = dict(zip(layout.joint_names, layout.default_joint_pos.tolist(), strict=True))
     free = [name for name in drawn if model.joint(name).id not in JointCouplings(model).followers]
     moved = {name: drawn[name] for name in free if abs(found.position(name) - drawn[name]) > _MOVED}
-    return Case(config, replace(facts, joints=joints), replace(found, moved=moved))
+    config = replace(stock, env=env)
+    return Case(config, replace(facts, joints=joints), replace(found, moved=moved), of_task=False)
 
 
 def _drive(dof: Dof) -> robots.Drive | None:
@@ -121,16 +133,7 @@ def _limit(value: float | None) -> float:
     return value if value is not None and value < _ENDLESS else math.inf
 
 
-def _model(source: Path) -> mujoco.MjModel:
-    require_plain_file(source, "an MJCF file")
-    try:
-        return mujoco.MjModel.from_xml_path(str(source))
-    except ValueError as error:
-        message = f"MuJoCo cannot read the robot file: {' '.join(str(error).split())}"
-        raise AssetError(message, where=str(source)) from None
-
-
-def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, Any]:
+def _robot_of_mjcf(source: Path, model: mujoco.MjModel) -> dict[str, object]:
     """Return an ``env.robot`` section for an MJCF file, with the pose of the first keyframe or else the zero pose."""
     qpos = model.key_qpos[0] if model.nkey else model.qpos0
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
@@ -212,7 +215,7 @@ class Diagnosis:
         finding = self.findings[0]
         return f"first: {finding.message}; {finding.hint}"
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the diagnosis for scripts."""
         robot = self.case.robot
         return {
@@ -242,7 +245,7 @@ def diagnose_task(composed: Composed) -> Diagnosis:
     ours = sorted((f for f in (*report.findings, *tried) if f.rule in order), key=lambda finding: order[finding.rule])
     silenced = tuple((finding, report.reasons[finding.rule]) for finding in ours if finding.rule in report.reasons)
     found = tuple(finding for finding in ours if finding.rule not in report.reasons)
-    subject = f"task={report.case.config['task']['name']}"
+    subject = f"task={report.case.config.task.name}"
     return Diagnosis(subject, report.case, found, silenced, tuple(notes_on(report.case)))
 
 
@@ -258,7 +261,14 @@ def notes_on(case: Case) -> list[str]:
     if robot is None:
         return []
     anatomy = robot.anatomy
-    notes = [_wheels_note(robot)]
+    count = f"{len(anatomy.wheels)} {'wheel' if len(anatomy.wheels) == 1 else 'wheels'}"
+    if not anatomy.wheels:
+        notes = ["no wheels: no low hinge without limits at the end of a chain turns a round part about a level axis"]
+    elif anatomy.forward is None:
+        notes = [f"{count}, which do not roll in one direction"]
+    else:
+        x, y, z = (round(part, 3) + 0.0 for part in anatomy.forward)
+        notes = [f"{count}; forwards is ({x:g}, {y:g}, {z:g}) in the base '{anatomy.base}'"]
     if robot.moved:
         pose = ", ".join(f"{name} at {robot.position(name):.4g}, not {at:.4g}" for name, at in robot.moved.items())
         notes.append(f"the file's pose is outside joint limits, so the robot is measured with {pose}")
@@ -277,17 +287,6 @@ def notes_on(case: Case) -> list[str]:
     if backwards and len(backwards) < len(signs):
         notes += [f"positive speed rolls backwards on {', '.join(backwards)}: scales of opposite signs drive straight"]
     return notes + _self_collisions(robot)
-
-
-def _wheels_note(robot: robots.CompiledRobot) -> str:
-    anatomy = robot.anatomy
-    if not anatomy.wheels:
-        return "no wheels: no low hinge without limits at the end of a chain turns a round part about a level axis"
-    count = f"{len(anatomy.wheels)} {'wheel' if len(anatomy.wheels) == 1 else 'wheels'}"
-    if anatomy.forward is None:
-        return f"{count}, which do not roll in one direction"
-    x, y, z = (round(part, 3) + 0.0 for part in anatomy.forward)
-    return f"{count}; forwards is ({x:g}, {y:g}, {z:g}) in the base '{anatomy.base}'"
 
 
 def _self_collisions(robot: robots.CompiledRobot) -> list[str]:

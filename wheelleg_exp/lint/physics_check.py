@@ -6,19 +6,20 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 
-from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, RobotFacts, compiled_robot
+from wheelleg_exp.anatomy.compiled_robot import RobotFacts, compiled_robot
 from wheelleg_exp.asset.conversion_cache import REPORT
 from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.config.checking.check_robot_names import converted
 from wheelleg_exp.config.composing.compose import Composed
-from wheelleg_exp.config.schema import PHYSICS_RULES
+from wheelleg_exp.config.schema import PHYSICS_RULES, Experiment
 
 # Importing the modules ``rules_*`` registers the lint rules.
 from wheelleg_exp.lint import rules_drives, rules_episode, rules_interface, rules_learning, rules_links, rules_shape  # noqa: F401
-from wheelleg_exp.lint.reward_tolerances import Contribution, contributions, earned_per_second
+from wheelleg_exp.lint.reward_tolerances import contributions, earned_per_second
 from wheelleg_exp.lint.rule import RULES as _RULES
 from wheelleg_exp.lint.rule import Case, Finding, Rule
 from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.terms.config_sections import read_section
 
 RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
@@ -52,44 +53,56 @@ class PhysicsReport:
 
     def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
         """Return each reward: name, weight, tolerance, per step, per episode, share of a perfect robot's reward."""
-        found = contributions(self.case)
+        found, rows = contributions(self.case), []
         best = earned_per_second(found) * self.case.episode_s
-        return [_reward_row(self.case, item, best) for item in found]
+        for item in found:
+            episode, step = item.per_episode(self.case), item.per_step(self.case.step_dt)
+            share = f"{100 * episode / best:.3g} %" if best > 0 else ""
+            known = (item.tolerance, f"{step:.2g}", f"{episode:.3g}", share)
+            rows.append(
+                (item.term.name, f"{item.weight:g}", *(known if item.value is not None else ("not known", "", "", "")))
+            )
+        return rows
 
     def document(self) -> dict[str, object]:
         """Return the findings of ``check --physics`` as a mapping for JSON."""
+        rewards = [
+            {
+                "term": item.term.path,
+                "weight": item.weight,
+                "tolerance": item.tolerance or None,
+                "value": item.value,
+                "per_step": None if item.value is None else item.per_step(self.case.step_dt),
+                "per_episode": None if item.value is None else item.per_episode(self.case),
+            }
+            for item in contributions(self.case)
+        ]
         return {
             "findings": [asdict(finding) for finding in self.open],
             "silenced": [{**asdict(finding), "reason": self.reasons[finding.rule]} for finding in self.silenced],
             "unused_silences": self.unused,
             "facts": asdict(self.case.facts),
-            "rewards": [_reward_document(self.case, item) for item in contributions(self.case)],
+            "rewards": rewards,
         }
 
 
 def examine(composed: Composed) -> PhysicsReport:
     """Compile and measure the robot of a config, and run every lint rule. The config must have no errors."""
     with composed.placing():
-        robot, facts = task_robot(composed)
-        case = Case(composed.config, facts, robot)
+        config = read_section(Experiment, composed.config, "")
+        mjcf = converted(composed.config["env"], composed.asset_roots)
+        # No step is simulated, so MuJoCo on the CPU is enough, even if the config sets another engine.
+        sim = replace(config.env.sim, engine="mujoco", device="cpu")
+        scene = SceneManager(replace(config.env, sim=sim), mjcf, num_envs=1).scene
+        report = None
+        with suppress(OSError, ValueError):
+            report = Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
+        robot, facts = compiled_robot(scene.spec.compile(), scene.robot, report)
+        case = Case(config, facts, robot)
     found = [finding for rule in RULES.values() for finding in rule(case)]
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
-    silences = (composed.config.get("check") or {}).get("silence") or {}
-    reasons = {name: reason for name, reason in silences.items() if reason is not None}
-    return PhysicsReport(case, tuple(placed), reasons)
-
-
-def task_robot(composed: Composed) -> tuple[CompiledRobot, RobotFacts]:
-    """Return the robot of a config, compiled as in a training, and the measured facts about the robot."""
-    env = composed.config["env"]
-    # No step is simulated, so MuJoCo on the CPU is enough, even if the config sets another engine.
-    env = {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
-    mjcf = converted(env, composed.asset_roots)
-    scene = SceneManager(env, mjcf, num_envs=1).scene
-    report = None
-    with suppress(OSError, ValueError):
-        report = Report.from_json(mjcf.with_name(REPORT).read_text(encoding="utf-8"))
-    return compiled_robot(scene.spec.compile(), scene.robot, report)
+    silences = config.check.silence if config.check is not None else {}
+    return PhysicsReport(case, tuple(placed), {name: why for name, why in silences.items() if why is not None})
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
@@ -114,24 +127,3 @@ def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
             ("falls in (time constant)", f"{1 / facts.balance.pole:.3g}", "s"),
         ]
     return rows
-
-
-def _reward_row(case: Case, item: Contribution, best: float) -> tuple[str, str, str, str, str, str]:
-    if item.value is None:
-        return item.term.name, f"{item.weight:g}", "not known", "", "", ""
-    episode = item.per_episode(case)
-    share = f"{100 * episode / best:.3g} %" if best > 0 else ""
-    step = f"{item.per_step(case.step_dt):.2g}"
-    return item.term.name, f"{item.weight:g}", item.tolerance, step, f"{episode:.3g}", share
-
-
-def _reward_document(case: Case, item: Contribution) -> dict[str, object]:
-    known = item.value is not None
-    return {
-        "term": item.term.path,
-        "weight": item.weight,
-        "tolerance": item.tolerance or None,
-        "value": item.value,
-        "per_step": item.per_step(case.step_dt) if known else None,
-        "per_episode": item.per_episode(case) if known else None,
-    }

@@ -95,8 +95,7 @@ def _bell(error: float, term: TermView) -> float:
 
 def command_size(case: Case, term: TermView) -> float:
     """Return the largest command that a reward term tracks, m/s or rad/s."""
-    command = case.env["commands"].get(str(term.node["command_name"]), {})
-    ranges = command.get("ranges") if isinstance(command, Mapping) else None
+    ranges = case.env.commands.get(str(term.node["command_name"]), {}).get("ranges")
     axes = ("lin_vel_x", "lin_vel_y") if TRACKING[term.kind] == "lin" else ("ang_vel_z",)
     return max((largest(ranges.get(axis)) for axis in axes), default=0.0) if isinstance(ranges, Mapping) else 0.0
 
@@ -146,7 +145,7 @@ def _action_rate(case: Case, _term: TermView) -> tuple[str, float]:
 
 
 def _travel(case: Case, term: TermView) -> tuple[str, float]:
-    most = case.env["commands"].get(str(term.node["command_name"]), {}).get("max_travel_error", 0.0)
+    most = case.env.commands.get(str(term.node["command_name"]), {}).get("max_travel_error", 0.0)
     return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
 
 

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
-from typing import Any
+from typing import TypeVar
 
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, Joint, RobotFacts
-from wheelleg_exp.config.checking.check_terms import term_nodes
-from wheelleg_exp.config.schema import PHYSICS_RULES
+from wheelleg_exp.config.schema import PHYSICS_RULES, Experiment
+from wheelleg_exp.constraints import Node
+from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.sim.names import match_names, values_by_name
+from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.terms.term_binding import TARGET, resolve_target
 
 _LIBRARY = "wheelleg_exp.mdp."
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class TermView:
     name: str
     path: str
     kind: str
-    node: Mapping[str, Any]
+    node: Node
 
 
 @dataclass(frozen=True)
@@ -39,40 +42,39 @@ class Case:
 
     ``robot`` is the robot's compiled MuJoCo model, or None if only its measured properties ``facts`` are known.
     ``trial`` maps each reward term's name to its mean reward per second under random actions; None without a
-    simulation.
+    simulation. ``of_task`` is False for a robot file, for which no task has set a pose, drives, and terms.
     """
 
-    config: Mapping[str, Any]
+    config: Experiment
     facts: RobotFacts
     robot: CompiledRobot | None = None
     trial: Mapping[str, float] | None = None
+    of_task: bool = True
 
     @property
-    def env(self) -> Mapping[str, Any]:
+    def env(self) -> EnvOptions:
         """The ``env`` section of the config."""
-        section: Mapping[str, Any] = self.config["env"]
-        return section
+        return self.config.env
 
     @property
-    def agent(self) -> Mapping[str, Any]:
+    def agent(self) -> Learning:
         """The ``agent`` section of the config."""
-        section: Mapping[str, Any] = self.config["agent"]
-        return section
+        return self.config.agent
 
     @property
     def physics_dt(self) -> float:
         """The physics time step, s."""
-        return float(self.env["sim"]["dt"])
+        return float(self.env.sim.dt)
 
     @property
     def step_dt(self) -> float:
         """The control time step, s."""
-        return self.physics_dt * int(self.env["decimation"])
+        return self.physics_dt * self.env.decimation
 
     @property
     def episode_s(self) -> float:
         """The length of the longest episode, s."""
-        return float(self.env["episode_length_s"])
+        return float(self.env.episode_length_s)
 
     @property
     def episode_steps(self) -> int:
@@ -84,29 +86,30 @@ class Case:
 
         The events that ``env.realism`` replaces never run, so they are left out.
         """
-        replaced = (self.env.get("realism") or {}).get("replaces", ()) if section == "events" else ()
-        for found, path, node in term_nodes(self.config):
-            name = path.rsplit(".", 1)[-1]
-            if found != section or name in replaced:
-                continue
-            view = TermView(name, path, kind_of(str(node[TARGET]), path), node)
-            if not kinds or view.kind in kinds:
-                yield view
+        replaced = self.env.realism.replaces if section == "events" else ()
+        sections: dict[str, Mapping[str, Node]] = {f"env.{section}": getattr(self.env, section)}
+        if section == "observations":
+            sections = {f"env.observations.{n}.terms": group.terms for n, group in self.env.observations.items()}
+        for place, nodes in sections.items():
+            for name, node in nodes.items():
+                kind = kind_of(str(node[TARGET]), f"{place}.{name}")
+                if name not in replaced and (not kinds or kind in kinds):
+                    yield TermView(name, f"{place}.{name}", kind, node)
 
-    def joints(self, node: Mapping[str, Any], name: str = "asset_cfg") -> dict[str, Joint]:
+    def joints(self, node: Node, name: str = "asset_cfg") -> dict[str, Joint]:
         """Return the joints of a term: those of its scene entity, or of its ``joint_names``, or all joints."""
         entity = node.get(name)
         expressions = entity.get("joint_names") if isinstance(entity, Mapping) else node.get("joint_names")
-        joints = self.facts.joints
         if expressions is None:
-            return joints
-        found = match_names(expressions, list(joints), key=name, what="joint")[1]
-        return {joint: joints[joint] for joint in found}
+            return self.facts.joints
+        found = match_names(expressions, list(self.facts.joints), key=name, what="joint")[1]
+        return {joint: self.facts.joints[joint] for joint in found}
 
-    def by_joint(self, values: Any, names: Sequence[str], default: Any) -> dict[str, Any]:
-        """Return a value for each joint; ``values`` is one value for all joints, or a mapping by joint expression."""
-        spread = values_by_name(values, list(names), default, key="values", what="joint")
-        return dict(zip(names, spread, strict=True))
+
+def by_joint(values: float | Mapping[str, _T], names: Iterable[str], default: _T) -> dict[str, _T]:
+    """Return a value for each joint; ``values`` is one value for all joints, or a mapping by joint expression."""
+    listed = list(names)
+    return dict(zip(listed, values_by_name(values, listed, default, key="values", what="joint"), strict=True))
 
 
 def kind_of(target: str, path: str) -> str:
@@ -118,7 +121,7 @@ def kind_of(target: str, path: str) -> str:
     return f"{module}.{name}"
 
 
-def largest(pair: Any) -> float:
+def largest(pair: Iterable[float] | None) -> float:
     """Return the larger absolute value of the two ends of a range ``[low, high]``; 0 if the range is None."""
     return max((abs(float(value)) for value in pair), default=0.0) if pair is not None else 0.0
 
@@ -136,7 +139,7 @@ class Finding:
     message: str
     hint: str
     figures: dict[str, float] = field(default_factory=dict)
-    advice: tuple[Mapping[str, Any], ...] = ()
+    advice: tuple[Mapping[str, object], ...] = ()
     rule: str = ""
     where: str | None = None
 

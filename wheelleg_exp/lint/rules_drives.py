@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
-from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, rule
+from wheelleg_exp.lint.rule import Case, Finding, at_least, at_most, by_joint, rule
 from wheelleg_exp.sim.terrain import combined_friction
 
 _ARMATURE = 10.0  # An armature above ten times the inertia of the links that the joint moves is implausible.
@@ -63,10 +63,9 @@ def armature_ratio(case: Case) -> Iterator[Finding]:
 
 def wheel_friction(case: Case) -> float:
     """Return the largest friction coefficient of the wheels: of the randomised materials, or else of the model."""
-    source = str(case.env["robot"].get("friction_source", "static"))
-    ground = float(case.env["scene"]["terrain"][f"{source}_friction"])
+    source, mode = case.env.robot.friction_source, case.env.robot.friction_combine_mode
+    ground = float(case.env.scene.terrain[f"{source}_friction"])
     materials = case.terms("events", "events.randomize_rigid_body_material")
-    mode = case.env["robot"].get("friction_combine_mode", "average")
     largest = [np.float64(term.node[f"{source}_friction_range"][1]) for term in materials]
     found = [float(combined_friction(own, ground, mode)) for own in largest]
     return max(found, default=case.facts.friction)
@@ -160,7 +159,7 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
         for term in case.terms("actions", "actions.JointPositionAction"):
             if not term.node.get("use_default_offset", True):
                 moved = case.joints(term.node)
-                offsets = case.by_joint(term.node.get("offset", 0.0), list(moved), 0.0)
+                offsets = by_joint(term.node.get("offset", 0.0), moved, 0.0)
                 shifts |= {name: float(offsets[name]) - joint.default for name, joint in moved.items()}
         sags = {
             other: abs(found.hold / found.drive.stiffness - shifts.get(other, 0.0))
@@ -191,7 +190,7 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
     and assumes that all joints can move. Source: the bounds of kp and kd follow from Jury's stability criterion for
     MuJoCo's semi-implicit Euler method (documentation, chapter Computation, "Numerical integration").
     """
-    dt, integrator = case.physics_dt, str(case.env["sim"]["integrator"])
+    dt, integrator = case.physics_dt, case.env.sim.integrator
     for group, joints in _groups(case).items():
         name, joint, drive, _ = _worst(joints, lambda j, d: (d.damping * dt + d.stiffness * dt**2) / j.effective)
         a, b = drive.damping * dt / joint.effective, drive.stiffness * dt**2 / joint.effective
@@ -247,7 +246,9 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
     if balance is None:
         return
     for group, joints in _groups(case).items():
-        name, joint, drive, rate = _worst(joints, lambda j, d: -_bandwidth(j, d))
+        name, joint, drive, rate = _worst(
+            joints, lambda j, d: -(math.sqrt(d.stiffness / j.effective) if d.stiffness else d.damping / j.effective)
+        )
         bandwidth = -rate
         needed = balance.pole * (2.0 if drive.stiffness == 0.0 else 1.0)
         if not 0.0 < bandwidth < needed:
@@ -265,7 +266,3 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
             {"bandwidth": bandwidth, "pole": balance.pole, "damping_ratio": ratio},
             ({key: gain},),
         )
-
-
-def _bandwidth(joint: Joint, drive: Drive) -> float:
-    return math.sqrt(drive.stiffness / joint.effective) if drive.stiffness > 0.0 else drive.damping / joint.effective

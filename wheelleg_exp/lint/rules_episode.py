@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -59,24 +58,16 @@ def zero_width_range(case: Case) -> Iterator[Finding]:
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():
-            if name in _FIXED or not _is_range(str(name), value) or _has_width(value):
+            ranged, pairs = name.endswith("_range"), []
+            if name == "ranges" or (ranged and isinstance(value, Mapping)):
+                pairs = [pair for pair in value.values() if pair is not None]
+            elif (ranged or name == "mass_distribution_params") and isinstance(value, list) and len(value) == 2:
+                pairs = [value]
+            if not pairs or name in _FIXED or any(pair[0] != pair[1] for pair in pairs):
                 continue
-            shown = next(iter(value.values())) if isinstance(value, Mapping) else value
-            message = f"every draw is {float(shown[0]):g}: the range has no width"
-            hint = "a range with a width, or no random value"
-            yield Finding(f"{term.path}.{name}", message, hint, {"low": float(shown[0]), "high": float(shown[1])})
-
-
-def _is_range(name: str, value: Any) -> bool:
-    if name == "ranges" or (name.endswith("_range") and isinstance(value, Mapping)):
-        return any(pair is not None for pair in value.values())
-    ranged = name.endswith("_range") or name == "mass_distribution_params"
-    return ranged and isinstance(value, list) and len(value) == 2
-
-
-def _has_width(value: Any) -> bool:
-    pairs = value.values() if isinstance(value, Mapping) else [value]
-    return any(pair is not None and pair[0] != pair[1] for pair in pairs)
+            low, high = float(pairs[0][0]), float(pairs[0][1])
+            message, hint = f"every draw is {low:g}: the range has no width", "a range with a width, or no random value"
+            yield Finding(f"{term.path}.{name}", message, hint, {"low": low, "high": high})
 
 
 @rule
@@ -235,7 +226,7 @@ def spawn_height(case: Case) -> Iterator[Finding]:
     clearance, limit = facts.clearance, _DROP * facts.standing_height
     if not math.isfinite(clearance) or -_GROUND <= clearance <= limit:
         return
-    x, y, height = map(float, case.env["robot"]["init_state"]["pos"])
+    x, y, height = map(float, case.env.robot.init_state.pos)
     right = at_least(round(height - clearance, 9), 4)
     if clearance < 0:
         text = f"the lowest point starts {-1e3 * clearance:.3g} mm inside the ground"
@@ -271,7 +262,7 @@ def world_height(case: Case) -> Iterator[Finding]:
 
     In a pit of depth d, a standing robot is lower by d than on flat ground. Source: geometry of the generated tiles.
     """
-    terrain, depth = case.env["scene"]["terrain"], 0.0
+    terrain, depth = case.env.scene.terrain, 0.0
     found = [term for kind in _WORLD_HEIGHTS for term in case.terms(kind.partition(".")[0], kind)]
     terms = [term for term in found if term.node.get("sensor_cfg") is None]
     if terms and "sub_terrains" in terrain:
@@ -329,7 +320,9 @@ def episode_end(case: Case) -> Iterator[Finding]:
                 hint = f"at most {lower:g} m"
                 yield Finding(key, message, hint, {"limit_m": limit, "standing_m": start}, ({key: lower},))
         if term.kind == "terminations.bad_orientation":
-            limit, tilt = float(term.node["limit_angle"]), _drawn_tilt(case)
+            limit = float(term.node["limit_angle"])
+            drawn = [reset.node["pose_range"] for reset in case.terms("events", "events.reset_root_state_uniform")]
+            tilt = max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in drawn), default=0.0)
             if limit >= _UPRIGHT or limit <= tilt:
                 key, bounds = f"{term.path}.limit_angle", (above(tilt), below(_UPRIGHT))
                 why = "has no effect" if limit >= _UPRIGHT else f"is within the tilt of {tilt:.3g} rad that resets draw"
@@ -350,11 +343,6 @@ def episode_end(case: Case) -> Iterator[Finding]:
         )
 
 
-def _drawn_tilt(case: Case) -> float:
-    ranges = [term.node["pose_range"] for term in case.terms("events", "events.reset_root_state_uniform")]
-    return max((math.hypot(largest(r.get("roll")), largest(r.get("pitch"))) for r in ranges), default=0.0)
-
-
 _DEPTH = 0.01  # Soft contacts gently correct a start that is inside the ground by at most 1 % of the robot's size.
 
 
@@ -369,14 +357,14 @@ def reset_into_ground(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         return
     joints = list(_drawn_joints(case, robot))
     for term in case.terms("events", "events.reset_root_state_uniform"):
-        ranges: Mapping[str, Any] = term.node["pose_range"]
+        ranges = term.node["pose_range"]
         tilts = [tuple(ranges.get(axis) or (0.0, 0.0)) for axis in ("roll", "pitch")]
         drop = min(ranges.get("z") or (0.0, 0.0))
         poses = itertools.product(*tilts, joints)
         depth = -min(_lowest(robot, float(roll), float(pitch), pose) for roll, pitch, pose in poses) - float(drop)
         start = -case.facts.clearance  # The rule ``spawn_height`` reports if the default pose is inside the ground.
         if depth > _DEPTH * robot.anatomy.size and depth > start + _DEPTH * robot.anatomy.size:
-            height = float(case.env["robot"]["init_state"]["pos"][2])
+            height = float(case.env.robot.init_state.pos[2])
             right = at_least(height + depth, 4)
             message = f"random starts reach {1e3 * depth:.3g} mm into the ground"
             hint = f"narrower ranges of z, roll and pitch, or env.robot.init_state.pos with a height of {right:g} m"

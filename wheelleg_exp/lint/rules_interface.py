@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import median
-from typing import Any
 
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
-from wheelleg_exp.lint.rule import Case, Finding, TermView, at_least, at_most, below, kind_of, largest, rule
+from wheelleg_exp.lint.rule import Case, Finding, TermView, at_least, at_most, below, by_joint, kind_of, largest, rule
 from wheelleg_exp.terms.term_binding import TARGET
 
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
@@ -28,7 +27,7 @@ def action_scale(case: Case) -> Iterator[Finding]:
     """
     for term in case.terms("actions", *_POSITION, *_VELOCITY):
         joints = case.joints(term.node)
-        scales = case.by_joint(term.node.get("scale", 1.0), list(joints), 1.0)
+        scales = by_joint(term.node.get("scale", 1.0), joints, 1.0)
         for name, joint in joints.items():
             if joint.drive is None:
                 continue
@@ -99,29 +98,20 @@ def action_clip_never_acts(case: Case) -> Iterator[Finding]:
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
-        clips = case.by_joint(term.node.get("clip") or {}, list(joints), None) if term.node.get("clip") else {}
-        idle = [name for name, clip in clips.items() if clip is not None and _idle(term, joints[name], clip)]
-        if idle:
-            joint, clip = joints[idle[0]], clips[idle[0]]
-            unit = "rad/s" if term.kind in _VELOCITY else "rad"
-            low, high = _reach(term, joint)
-            message = f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{idle[0]}' reaches "
-            message += f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect"
-            hint = "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions"
-            figures = {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high}
-            yield Finding(f"{term.path}.clip", message, hint, figures)
-
-
-def _reach(term: TermView, joint: Joint) -> tuple[float, float]:
-    if term.kind in _VELOCITY:
-        speed = joint.drive.velocity if joint.drive is not None else math.inf
-        return -speed, speed
-    return joint.low, joint.high
-
-
-def _idle(term: TermView, joint: Joint, clip: Any) -> bool:
-    low, high = _reach(term, joint)
-    return bool(clip[0] <= low and clip[1] >= high and math.isfinite(low))
+        clips: dict[str, Sequence[float] | None] = by_joint(term.node.get("clip") or {}, joints, None)
+        for name, clip in clips.items():
+            joint, unit = joints[name], "rad"
+            low, high = joint.low, joint.high
+            if term.kind in _VELOCITY:
+                unit, high = "rad/s", joint.drive.velocity if joint.drive is not None else math.inf
+                low = -high
+            if clip is not None and clip[0] <= low and clip[1] >= high and math.isfinite(low):
+                message = f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{name}' reaches "
+                message += f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect"
+                hint = "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions"
+                figures = {"clip_low": float(clip[0]), "clip_high": float(clip[1]), "low": low, "high": high}
+                yield Finding(f"{term.path}.clip", message, hint, figures)
+                break  # Report only one joint of each action term.
 
 
 @rule
@@ -188,8 +178,8 @@ def observation_scale(case: Case) -> Iterator[Finding]:
     for term in case.terms("observations"):
         group = term.path.split(".")[2]
         others = [i for path, i in inputs.items() if i and path.split(".")[2] == group and path != term.path]
-        networks = [name for name, groups in case.agent["obs_groups"].items() if group in groups]
-        if bool(networks) and all(case.agent.get(n, {}).get("obs_normalization", False) for n in networks):
+        networks = [name for name, groups in case.agent.obs_groups.items() if group in groups]
+        if networks and all(case.agent.networks.get(n, {}).get("obs_normalization", False) for n in networks):
             continue
         size, scale, usual = signal_size(case, term), _scale(term), median(others or [1.0])
         if not size or _SMALLEST * max(1.0, usual) < size * scale <= _LARGEST:
@@ -224,7 +214,7 @@ def signal_size(case: Case, term: TermView) -> float | None:
     if term.kind == "observations.base_ang_vel":  # falling through one radian
         return case.facts.balance.pole if case.facts.balance is not None else None
     if term.kind == "observations.generated_commands":
-        ranges = case.env["commands"].get(str(term.node["command_name"]), {}).get("ranges")
+        ranges = case.env.commands.get(str(term.node["command_name"]), {}).get("ranges")
         return max((largest(pair) for pair in ranges.values()), default=None) if isinstance(ranges, Mapping) else None
     return None
 
@@ -237,8 +227,8 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
     largest signal hides most of the signal. Source: the parameter ``enable_corruption`` of Isaac Lab 2.3.2 in
     ``isaaclab/managers/observation_manager.py``.
     """
-    for name, group in case.env["observations"].items():
-        path, corrupt = f"env.observations.{name}", bool(group.get("enable_corruption", False))
+    for name, group in case.env.observations.items():
+        path, corrupt = f"env.observations.{name}", group.enable_corruption
         terms = [t for t in case.terms("observations") if t.path.startswith(f"{path}.terms.")]
         noisy = [term for term in terms if term.node.get("noise") is not None]
         if corrupt and not noisy:
@@ -246,26 +236,18 @@ def noise_against_signal(case: Case) -> Iterator[Finding]:
             hint = "a noise for the terms that a sensor measures, or enable_corruption: false"
             yield Finding(f"{path}.enable_corruption", message, hint, {"terms": len(terms)})
         for term in noisy:
-            yield from _noise_findings(case, term, corrupt)
-
-
-def _noise_findings(case: Case, term: TermView, corrupt: bool) -> Iterator[Finding]:
-    if not corrupt:
-        group = term.path.split(".terms.")[0]
-        message = "the noise has no effect, because its group has enable_corruption: false"
-        yield Finding(f"{term.path}.noise", message, f"{group}.enable_corruption=true, or no noise")
-        return
-    node, sizes = term.node["noise"], dict[str, float]()
-    kind = kind_of(str(node[TARGET]), f"{term.path}.noise") if isinstance(node, Mapping) and TARGET in node else ""
-    if kind in _NOISES and node.get("operation", "add") == "add":
-        sizes = {name: float(node.get(name, default)) for name, default in _NOISES[kind].items()}
-    size, noise = signal_size(case, term), max(map(abs, sizes.values()), default=0.0)
-    if size and noise >= _LOUD * size:
-        quiet = below(_LOUD * size)
-        yield Finding(
-            f"{term.path}.noise",
-            f"noise of {noise:.3g} on a signal of at most {size:.3g}: {100 * noise / size:.0f} % of it",
-            f"noise of at most {quiet:g}",
-            {"noise": noise, "signal": size, "ratio": noise / size},
-            ({f"{term.path}.noise.{name}": math.copysign(quiet, value) for name, value in sizes.items()},),
-        )
+            key, node, sizes = f"{term.path}.noise", term.node["noise"], dict[str, float]()
+            if not corrupt:
+                message = "the noise has no effect, because its group has enable_corruption: false"
+                yield Finding(key, message, f"{path}.enable_corruption=true, or no noise")
+                continue
+            kind = kind_of(str(node[TARGET]), key) if isinstance(node, Mapping) and TARGET in node else ""
+            if kind in _NOISES and node.get("operation", "add") == "add":
+                sizes = {name: float(node.get(name, default)) for name, default in _NOISES[kind].items()}
+            size, noise = signal_size(case, term), max(map(abs, sizes.values()), default=0.0)
+            if size and noise >= _LOUD * size:
+                quiet = below(_LOUD * size)
+                message = f"noise of {noise:.3g} on a signal of at most {size:.3g}: {100 * noise / size:.0f} % of it"
+                advice = {f"{key}.{name}": math.copysign(quiet, value) for name, value in sizes.items()}
+                figures = {"noise": noise, "signal": size, "ratio": noise / size}
+                yield Finding(key, message, f"noise of at most {quiet:g}", figures, (advice,))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 from wheelleg_exp.lint import reward_tolerances as tolerances
-from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, largest, rule
+from wheelleg_exp.lint.rule import Case, Finding, TermView, above, at_least, at_most, by_joint, largest, rule
 
 _AUDIBLE = 0.01  # An error as large as a reward term's tolerance should cost at least 1 % of the total best reward.
 _OUTWEIGHS = 4.0  # A penalty above four times the sum of all positive rewards is implausible.
@@ -58,7 +57,7 @@ def _moving(case: Case, term: TermView, std: float, size: float) -> Iterator[Fin
     unit, score, narrow = tolerances.UNITS[tolerances.TRACKING[term.kind]], still_score(size, std), at_most(size / 2)
     if score < _STILL:
         return
-    standing = float(case.env["commands"][term.node["command_name"]].get("rel_standing_envs", 0.0))
+    standing = float(case.env.commands[term.node["command_name"]].get("rel_standing_envs", 0.0))
     yield Finding(
         f"{term.path}.std",
         f"with std {std:g} {unit} and commands in ±{size:g} {unit}, a robot that never moves earns {score:.2f} of the "
@@ -75,7 +74,7 @@ def _drifting(case: Case, term: TermView, std: float) -> Iterator[Finding]:
     # ``drift`` is the robot's speed (m/s) at a wheel action of 1; without wheel actions, a tenth of its top speed.
     drift = 0.1 * case.facts.top_speed
     for action in case.terms("actions", "actions.JointVelocityAction"):
-        scales = case.by_joint(action.node.get("scale", 1.0), list(case.joints(action.node)), 1.0)
+        scales = by_joint(action.node.get("scale", 1.0), case.joints(action.node), 1.0)
         driven = [abs(float(scale)) for name, scale in scales.items() if name in case.facts.wheels]
         if driven:
             drift = max(driven) * case.facts.wheel_radius
@@ -155,7 +154,7 @@ def falling_pays(case: Case) -> Iterator[Finding]:
 
 def horizon_steps(case: Case) -> float:
     """Return the discount's horizon 1/(1 - gamma) in control steps; inf without discount."""
-    gamma = float(case.agent["algorithm"].get("gamma", 0.99))
+    gamma = float(case.agent.algorithm.get("gamma", 0.99))
     return 1.0 / (1.0 - gamma) if gamma < 1.0 else math.inf
 
 
@@ -173,8 +172,8 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
     rsl_rl cuts the batch of num_envs · num_steps_per_env samples into mini-batches of equal size and drops the
     remainder. Source: rsl_rl, ``storage/rollout_storage.py``.
     """
-    batch = int(case.env["num_envs"]) * int(case.agent["num_steps_per_env"])
-    parts = int(case.agent["algorithm"].get("num_mini_batches", 1))
+    batch = case.env.num_envs * case.agent.num_steps_per_env
+    parts = int(case.agent.algorithm.get("num_mini_batches", 1))
     if batch % parts:
         message = f"{batch} samples in {parts} mini-batches of {batch // parts} leave {batch % parts} unused"
         hint = "a number of environments or steps that the mini-batches divide"
@@ -196,27 +195,22 @@ def discount_horizon(case: Case) -> Iterator[Finding]:
     balance = case.facts.balance
     fall = _FALLS / balance.pole if balance is not None else 0.0
     if steps > case.episode_steps * (1 + _DUST):
-        yield Finding(
-            _GAMMA,
-            f"the discount's horizon is {seconds:.3g} s, and an episode lasts {case.episode_s:g} s",
-            figures={"horizon_s": seconds if math.isfinite(seconds) else -1.0, "episode_s": case.episode_s},
-            **_advice(case, fall, "most", at_least(1.0 / case.episode_steps, 3)),
-        )
+        message = f"the discount's horizon is {seconds:.3g} s, and an episode lasts {case.episode_s:g} s"
+        figures = {"horizon_s": seconds if math.isfinite(seconds) else -1.0, "episode_s": case.episode_s}
+        yield _advised(case, fall, message, figures, "most", at_least(1.0 / case.episode_steps, 3))
     if balance is not None and seconds < fall * (1 - _DUST):
-        yield Finding(
-            _GAMMA,
-            f"the discount's horizon is {seconds:.3g} s, {seconds * balance.pole:.2g} time constants of the fall",
-            figures={"horizon_s": seconds, "time_constant_s": 1 / balance.pole},
-            **_advice(case, fall, "least", at_most(case.step_dt / fall, 3)),
-        )
+        message = f"the discount's horizon is {seconds:.3g} s, {seconds * balance.pole:.2g} time constants of the fall"
+        figures = {"horizon_s": seconds, "time_constant_s": 1 / balance.pole}
+        yield _advised(case, fall, message, figures, "least", at_most(case.step_dt / fall, 3))
 
 
-def _advice(case: Case, fall: float, bound: str, share: float) -> dict[str, Any]:
+def _advised(case: Case, fall: float, message: str, figures: dict[str, float], bound: str, share: float) -> Finding:
     """Recommend ``gamma`` = 1 - ``share``, or longer episodes if an episode is shorter than a robot's fall."""
     if case.episode_s < fall:
-        return {"hint": f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"}
+        hint = f"episodes longer than {fall:.2g} s first: no gamma covers a fall and ends within an episode"
+        return Finding(_GAMMA, message, hint, figures)
     gamma = round(1.0 - share, 12)
-    return {"hint": f"gamma of at {bound} {gamma:g}", "advice": ({_GAMMA: gamma},)}
+    return Finding(_GAMMA, message, f"gamma of at {bound} {gamma:g}", figures, ({_GAMMA: gamma},))
 
 
 @rule
@@ -229,8 +223,8 @@ def late_average(case: Case) -> Iterator[Finding]:
     average. With ``init_from``, the first iterations are not random, so the rule does not apply. Source: the weights of
     an exponential mean.
     """
-    reach, iterations = int(case.agent.get("average_iterations") or 0), int(case.agent["max_iterations"])
-    if reach < 2 or case.config.get("init_from"):
+    reach, iterations = case.agent.average_iterations, case.agent.max_iterations
+    if reach < 2 or case.config.init_from:
         return
     early = (1.0 - 1.0 / reach) ** max(iterations - reach, 0)
     if early > _EARLY:
@@ -249,10 +243,10 @@ def noop_curriculum(case: Case) -> Iterator[Finding]:
     The curriculum term changes the weight of a reward after ``num_steps`` control steps. A training has max_iterations
     · num_steps_per_env control steps. Source: Isaac Lab 2.3.2, ``isaaclab/envs/mdp/curriculums.py``.
     """
-    total = int(case.agent["max_iterations"]) * int(case.agent["num_steps_per_env"])
+    total = case.agent.max_iterations * case.agent.num_steps_per_env
     for term in case.terms("curriculum", "curriculums.modify_reward_weight"):
         reward, weight, start = term.node["term_name"], float(term.node["weight"]), int(term.node["num_steps"])
-        before = float(case.env["rewards"][reward]["weight"])
+        before = float(case.env.rewards[reward]["weight"])
         if weight == before:
             message = f"'{reward}' has the weight {before:g} from the start: the change to {weight:g} has no effect"
             hint = "another weight of the reward or of the curriculum, or no curriculum"
@@ -273,13 +267,12 @@ def levels_out_of_reach(case: Case) -> Iterator[Finding]:
     ``isaaclab_tasks/manager_based/locomotion/velocity/mdp/curriculums.py``, ``terrain_levels_vel``.
     """
     for term in case.terms("curriculum", "curriculums.terrain_levels_vel"):
-        size = case.env["scene"]["terrain"].get("size")
+        size = case.env.scene.terrain.get("size")
         if size is None:
             message = "the ground has no tiles, so the level never changes"
             yield Finding(term.path, message, "scene=rough, another ground of tiles, or no such curriculum")
             continue
-        command = case.env["commands"].get(term.node.get("command_name", "base_velocity"), {})
-        ranges = command.get("ranges")
+        ranges = case.env.commands.get(term.node.get("command_name", "base_velocity"), {}).get("ranges")
         if not isinstance(ranges, Mapping):
             continue
         speed = math.hypot(*(largest(ranges.get(axis)) for axis in ("lin_vel_x", "lin_vel_y")))

@@ -221,7 +221,7 @@ def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     # A task config sets its own effort and velocity limits, so ignore limits of 0 in the robot file.
     kinds: tuple[Kind, ...] = ("placeholder_effort", "placeholder_velocity")
     written = {item.subject for kind in kinds for item in records(case, kind) if abs(item.numbers["value"]) < 1}
-    weak = [name for name in facts.joints if name in written - robot.anatomy.casters and "task" not in case.config]
+    weak = [name for name in facts.joints if name in written - robot.anatomy.casters and not case.of_task]
     for name, joint in facts.joints.items():
         if joint.drive is None:
             continue

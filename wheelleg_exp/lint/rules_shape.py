@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,7 +12,7 @@ from wheelleg_exp.anatomy.anatomy_parts import MirroredPair
 from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
-from wheelleg_exp.lint.rule import Case, Finding, listed, rule
+from wheelleg_exp.lint.rule import Case, Finding, by_joint, listed, rule
 from wheelleg_exp.lint.rules_links import records
 from wheelleg_exp.sim.names import match_names
 
@@ -68,11 +67,8 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     inside = {name for pair in pairs if pair.acts and pair.depth > _TOUCHES * size for name in pair.bodies}
     for term in case.terms("terminations", "terminations.illegal_contact"):
         watched = match_names(term.node["sensor_cfg"]["body_names"], robot.bodies, key=term.path, what="body")[1]
-        touching = [
-            name
-            for name in watched
-            if name in inside or (math.isfinite(ground) and lows[name] < ground + _STANDS * size)
-        ]
+        low = ground + _STANDS * size if math.isfinite(ground) else -math.inf
+        touching = [name for name in watched if name in inside or lows[name] < low]
         if touching:
             message = f"{listed(touching)} touch something at the start: every episode ends at once"
             hint = "remove the bodies that the robot stands on; separate those that are inside others"
@@ -131,14 +127,13 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     if robot.anatomy.cannot_stand and not robot.anatomy.near:
         yield Finding(_ASSET, robot.anatomy.cannot_stand, "wheels on both sides: check that no leg is missing")
     weight = weight_over_axle(robot)
-    chosen = "task" in case.config
     if not robot.anatomy.one_axle:
         anatomy, base = robot.anatomy, robot.model.body(robot.anatomy.base).id
         local = robot.data.xmat[base].reshape(3, 3).T @ (weight.place - robot.data.xpos[base])
         ahead = float(local @ np.array(anatomy.forward))
         contacts = [float(np.array(wheel.contact) @ np.array(anatomy.forward)) for wheel in anatomy.standing]
         margin = min(ahead - min(contacts), max(contacts) - ahead)
-        if margin < (_EDGE if chosen else 0.0) * anatomy.support_length:
+        if margin < (_EDGE if case.of_task else 0.0) * anatomy.support_length:
             yield Finding(
                 "env.robot.init_state.joint_pos",
                 f"the centre of mass is {1e3 * abs(margin):.3g} mm {'outside' if margin < 0 else 'inside'} the "
@@ -147,7 +142,7 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
                 {"margin_m": margin, "length_m": anatomy.support_length},
             )
         return
-    if abs(weight.lean) <= (_LEAN if chosen else _DRAWN_LEAN):
+    if abs(weight.lean) <= (_LEAN if case.of_task else _DRAWN_LEAN):
         return
     side = "in front of" if weight.ahead > 0 else "behind"
     pose = balanced_pose(robot)
@@ -241,28 +236,20 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 
 def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
     """Return whether equal positions of the lowest pitch joints turn both legs in the same direction."""
-    anatomy, left = robot.drawn, np.array(robot.drawn.left)
+    anatomy, model = robot.drawn, robot.model
+    # The pitch axis of the robot in the world's frame.
+    left = robot.data.xmat[model.body(robot.anatomy.base).id].reshape(3, 3) @ np.array(anatomy.left)
     chain = {leg.wheel: leg.joints for leg in anatomy.legs}[wheels.left]
     signs = {name: p.sign for p in anatomy.mirrored if p.left != p.right for name in (p.left, p.right)}
-    alike = [signs[name] > 0 for name in chain if name in signs and abs(float(_axis(robot, name) @ left)) > _ALONG]
+    pitched = [n for n in chain if n in signs and abs(float(robot.data.xaxis[model.joint(n).id] @ left)) > _ALONG]
+    alike = [signs[name] > 0 for name in pitched]
     return not alike or alike[-1]
 
 
-def _axis(robot: CompiledRobot, joint: str) -> np.ndarray:
-    model = robot.model
-    base = robot.data.xmat[model.body(robot.anatomy.base).id].reshape(3, 3)
-    axis: np.ndarray = base.T @ robot.data.xaxis[model.joint(joint).id]
-    return axis
-
-
 def _compensated(case: Case, pair: MirroredPair) -> bool:
-    for term in case.terms("actions"):
-        scale: Any = term.node.get("scale")
-        if isinstance(scale, Mapping):
-            found = case.by_joint(scale, [pair.left, pair.right], 1.0)
-            if found[pair.left] * found[pair.right] < 0:
-                return True
-    return False
+    scales = [scale for term in case.terms("actions") if isinstance(scale := term.node.get("scale"), Mapping)]
+    found = [by_joint(scale, (pair.left, pair.right), 1.0) for scale in scales]
+    return any(signs[pair.left] * signs[pair.right] < 0 for signs in found)
 
 
 def _way(sign: int) -> str:

@@ -69,16 +69,17 @@ def read_log(path: Path) -> IterationLog:
         if not raw.endswith(b"\n"):
             return replace(log, cut_off=True)
         end += len(raw)
-        line = _parse(raw, end)
-        expected = len(log.lines)
-        if line is None:
+        content, expected = read_line(raw), len(log.lines)
+        if content is None:
             log.problems.append(f"line {number} cannot be read")
-        elif line.iteration == expected:
-            log.lines.append(line)
+        elif content["iteration"] == expected:
+            scalars = {name: value for name, value in content["scalars"].items() if not name.startswith(_TIMES)}
+            form = content.get("digest_format")
+            log.lines.append(Line(expected, content["digests"], scalars, form, content, end))
             continue
         else:
-            kind = "repeats" if line.iteration < expected else "leaves a gap:"
-            log.problems.append(f"line {number} {kind} iteration {line.iteration}, where {expected} was expected")
+            kind, found = "repeats" if content["iteration"] < expected else "leaves a gap:", content["iteration"]
+            log.problems.append(f"line {number} {kind} iteration {found}, where {expected} was expected")
         break  # Ignore log lines after a damaged line, because their iteration numbers can be wrong.
     return log
 
@@ -95,11 +96,3 @@ def read_line(raw: bytes) -> LogLine | None:
         return read_record(LogLine, json_value(raw), "broken line", "iterations.jsonl")
     except (ValueError, RunDirectoryError):
         return None
-
-
-def _parse(raw: bytes, end: int) -> Line | None:
-    content = read_line(raw)
-    if content is None:
-        return None
-    scalars = {name: value for name, value in content["scalars"].items() if not name.startswith(_TIMES)}
-    return Line(content["iteration"], content["digests"], scalars, content.get("digest_format"), content, end)

@@ -192,7 +192,7 @@ class Manifest:
         return parse_utc(self.facts.started)
 
     @property
-    def results(self) -> Mapping[str, Any]:
+    def results(self) -> Mapping[str, object]:
         """The results of the run."""
         return self.facts.results
 

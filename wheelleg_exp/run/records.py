@@ -46,7 +46,15 @@ def _read(value: object, kind: Any, path: str) -> Any:
         (only,) = (argument for argument in arguments if argument is not types.NoneType)
         return None if value is None else _read(value, only, path)
     if is_dataclass(kind) or is_typeddict(kind):
-        return _read_keys(value, kind, path)
+        if not isinstance(value, dict):
+            raise _WrongValue(path)
+        found, (hints, required) = {}, _keys(kind)
+        for key, hint in hints.items():
+            if key not in value and key in required:
+                raise _WrongValue(_join(path, key))
+            if value.get(key) is not None or key in required:
+                found[key] = _read(value.get(key), hint, _join(path, key))
+        return value if is_typeddict(kind) else kind(**found)
     if origin is Mapping and isinstance(value, dict):
         return {key: _read(item, arguments[1], _join(path, key)) for key, item in value.items()}
     if origin in (list, tuple) and isinstance(value, list):
@@ -60,27 +68,12 @@ def _read(value: object, kind: Any, path: str) -> Any:
     raise _WrongValue(path)
 
 
-def _read_keys(value: object, kind: Any, path: str) -> Any:
-    if not isinstance(value, dict):
-        raise _WrongValue(path)
-    hints, required = _keys(kind)
-    found = {}
-    for key, hint in hints.items():
-        given = value.get(key)
-        if given is None and key not in required:
-            continue
-        if key not in value:
-            raise _WrongValue(_join(path, key))
-        found[key] = _read(given, hint, _join(path, key))
-    return value if is_typeddict(kind) else kind(**found)
-
-
 @cache
-def _keys(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
+def _keys(kind: type) -> tuple[dict[str, object], frozenset[str]]:
     """Return the types of a record's keys, and the names of the required keys."""
     hints = get_type_hints(kind)
     if is_typeddict(kind):
-        return hints, kind.__required_keys__
+        return hints, kind.__required_keys__  # type: ignore[attr-defined]
     optional = {each.name for each in fields(kind) if (each.default, each.default_factory) != (MISSING, MISSING)}
     return hints, frozenset(hints) - optional
 

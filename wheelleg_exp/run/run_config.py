@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_json, read_yaml, require_mapping, write_text
@@ -49,7 +49,7 @@ def _unresolved(value: object, key: str) -> Iterator[tuple[str, str]]:
         yield key, value
 
 
-def write_params(directory: Path, params: Mapping[str, dict[str, Any]]) -> None:
+def write_params(directory: Path, params: Mapping[str, object]) -> None:
     """Write ``env.yaml`` and ``agent.yaml`` below ``directory/params``; write no file if a parameter is invalid."""
     for part, text in {part: dump_yaml(params[part]) for part in PARTS}.items():
         write_text(directory / "params" / f"{part}.yaml", text)
@@ -64,7 +64,7 @@ def load_params(directory: os.PathLike[str]) -> tuple[dict[str, Any], dict[str, 
     return params["env"], params["agent"]
 
 
-def upgrade_env_params(env: Mapping[str, object]) -> dict[str, Any]:
+def upgrade_env_params(env: Mapping[str, object]) -> dict[str, object]:
     """Convert an environment's parameters from the format of an older version of the program to the current format."""
     # Until version 0.1, the ground was a plane with its material in ``scene.ground``, and MuJoCo was the only engine.
     scene, sim = env.get("scene"), env.get("sim")
@@ -77,16 +77,17 @@ def upgrade_env_params(env: Mapping[str, object]) -> dict[str, Any]:
     return {**env, "sim": sim, "scene": scene}
 
 
-def on_reference_engine(env: Mapping[str, Any]) -> dict[str, Any]:
+def on_reference_engine(env: Mapping[str, object]) -> dict[str, object]:
     """Return an environment's parameters, but with MuJoCo on the CPU as the physics engine."""
     # By default, the commands evaluate, play, and export simulate with MuJoCo on the CPU, which needs no GPU.
     # The metrics of two evaluations are comparable only if both evaluations use the same physics engine.
-    if not isinstance(env.get("sim"), Mapping):
+    sim = env.get("sim")
+    if not isinstance(sim, Mapping):
         return dict(env)  # If ``sim`` is not a mapping, a later check of the config raises an error.
-    return {**env, "sim": {**env["sim"], "engine": "mujoco", "device": "cpu"}}
+    return {**env, "sim": {**sim, "engine": "mujoco", "device": "cpu"}}
 
 
-def load_config(directory: os.PathLike[str]) -> dict[str, Any]:
+def load_config(directory: os.PathLike[str]) -> dict[str, object]:
     """Return a run's composed config with unresolved ``${...}``; raise RunDirectoryError if the config is missing."""
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
@@ -108,7 +109,7 @@ _NO_DEFAULT = object()
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
-def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
+def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, object]:
     """Return the resolved config sections ``SECTIONS`` of a run; use only the given environment variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)
@@ -116,7 +117,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
         raise RunDirectoryError("the config file is not a mapping", key=str(path), expected="the config of the run")
     missing: list[str] = []
 
-    def not_stored(name: str) -> Any:
+    def not_stored(name: str) -> NoReturn:
         missing.append(name)
         raise KeyError(name)
 
@@ -132,7 +133,7 @@ def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -
         raise
 
 
-def written_config(directory: os.PathLike[str]) -> dict[str, Any]:
+def written_config(directory: os.PathLike[str]) -> dict[str, object]:
     """Return a run's config with unresolved ``${...}``; return an empty mapping if the config file cannot be read."""
     try:
         config = read_yaml(Path(directory) / CONFIG)
@@ -177,9 +178,9 @@ def recorded_robot(directory: os.PathLike[str]) -> RobotIdentity:
 def resolved(
     tree: Mapping[str, object],
     variables: Mapping[str, str],
-    absent: Callable[[str], Any],
+    absent: Callable[[str], object],
     sections: tuple[str, ...] = (),
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
     ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. If ``variables`` lacks
@@ -203,7 +204,7 @@ def resolved(
 
 
 @contextmanager
-def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], Any]) -> Iterator[None]:
+def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], object]) -> Iterator[None]:
     """Inside the ``with`` block, let OmegaConf call only built-in resolvers, and limit the number of interpolations."""
     from omegaconf import OmegaConf
     from omegaconf.base import Container
@@ -212,12 +213,12 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
 
     resolvers, resolve, steps = dict(BaseContainer._resolvers), Container.resolve_parse_tree, count()
 
-    def bounded(self: Container, *arguments: Any, **more: Any) -> Any:
+    def bounded(self: Container, *arguments: Any, **more: Any) -> object:
         if next(steps) >= _MAX_STEPS:
             raise InterpolationResolutionError(f"resolving the config takes more than {_MAX_STEPS} interpolations")
         return resolve(self, *arguments, **more)
 
-    def variable(name: str, default: object = _NO_DEFAULT) -> Any:
+    def variable(name: str, default: object = _NO_DEFAULT) -> object:
         if name in variables:
             return variables[name]
         if default is _NO_DEFAULT:

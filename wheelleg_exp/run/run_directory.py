@@ -47,15 +47,13 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
     path = folder if folder.name == PIPELINE_NAME else folder / PIPELINE_NAME
     if not is_pipeline(path.parent):
         return None
-    content, here, pipeline = read_json(path), Path.cwd(), _Pipeline()
+    content, here, runs = read_json(path), Path.cwd(), list[str]()
     with suppress(RunDirectoryError):
-        pipeline = read_record(_Pipeline, content, "broken pipeline", path)
-    runs = []
-    for phase in pipeline.phases:
-        if phase.run:
-            run = (path.parent / phase.run).resolve()
-            run = run.relative_to(here) if run.is_relative_to(here) else run
-            runs.append(f"{run} (phase '{phase.name}')")
+        for phase in read_record(_Pipeline, content, "broken pipeline", path).phases:
+            if phase.run:
+                run = (path.parent / phase.run).resolve()
+                run = run.relative_to(here) if run.is_relative_to(here) else run
+                runs.append(f"{run} (phase '{phase.name}')")
     expected = " or ".join(runs) if runs else "a run of the pipeline, after its first phase has started"
     return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 
@@ -105,14 +103,13 @@ class RunDirectory(os.PathLike[str]):
         If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. ``section`` is the
         subfolder ``agents`` or ``replays`` of ``root``; ``wheelleg list runs`` does not show its runs.
         """
-        _require_name(task, "task.name")
+        for part, key in ((task, "task.name"), (name, "run.name")):
+            if part is not None and not re.fullmatch(NAME, str(part)):
+                raise ConfigError(f"{part!r} cannot be part of a folder name", key=key, expected=NAME_WORDS)
         if task in _NOT_TASKS:
             message = f"'{task}' is reserved and cannot be the name of a task"
             raise ConfigError(message, key="task.name", expected="another name")
-        parts = [folder_text(now or datetime.now()), str(int(seed))]
-        if name is not None:
-            _require_name(name, "run.name")
-            parts.append(name)
+        parts = [folder_text(now or datetime.now()), str(int(seed)), *([] if name is None else [name])]
         base = Path(root) / section if section else Path(root)
         return cls(create_exclusively(base / task, "_".join(parts)))
 
@@ -248,27 +245,16 @@ def _found(run: str | Path, root: Path) -> Path:
     if len(found) > 1:
         tasks = " and ".join(f"{folder.parent.name}/{folder.name}" for folder in found)
         raise RunDirectoryError(f"'{run}' names {len(found)} runs", expected=f"one of {tasks}")
-    if not found:
-        raise _no_run(str(run), root, folders)
-    return found[0]
-
-
-def _no_run(run: str, root: Path, folders: list[Path]) -> RunDirectoryError:
+    if found:
+        return found[0]
     shipped = [PREFIX + name for name in stock_names()]
     expected = ", ".join(["a path", f"an id below '{root}'", f"'{LATEST}'", *shipped])
     for place in (Path(run), root / run, root / PIPELINES / run):
         if pipeline := pipeline_error(place):
-            return pipeline
+            raise pipeline
         if place.exists():
-            holder = next((p for p in place.resolve().parents if (p / MANIFEST_NAME).is_file()), None)
+            holder = next((str(p) for p in place.resolve().parents if (p / MANIFEST_NAME).is_file()), None)
             message = f"'{place}' is not a run directory: it has no {MANIFEST_NAME}"
-            return RunDirectoryError(message, expected=expected, nearest=str(holder) if holder else None)
-    names = [name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}")]
-    return RunDirectoryError(
-        f"there is no run '{run}'", expected=expected, nearest=nearest_name(run, [LATEST, *shipped, *names])
-    )
-
-
-def _require_name(name: str, key: str) -> None:
-    if not isinstance(name, str) or not re.fullmatch(NAME, name):
-        raise ConfigError(f"{name!r} cannot be part of a folder name", key=key, expected=NAME_WORDS)
+            raise RunDirectoryError(message, expected=expected, nearest=holder)
+    names = [LATEST, *shipped, *(name for f in folders for name in (f.name, f"{f.parent.name}/{f.name}"))]
+    raise RunDirectoryError(f"there is no run '{run}'", expected=expected, nearest=nearest_name(str(run), names))

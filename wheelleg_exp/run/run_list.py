@@ -26,6 +26,7 @@ from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.run.timestamps import folder_moment, parse_utc, utc_now
 
 CRASHED, DAMAGED = "crashed", "damaged"
+_DAMAGES = (RunDirectoryError, LookupError, TypeError, ValueError, AttributeError)  # errors of a damaged sweep.json
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_-?\d+(?:_(?P<name>.+))?")
 _TOTAL = re.compile(r"^max_iterations:\s*(\d{1,18})\b", re.MULTILINE)
@@ -90,11 +91,10 @@ def summarize(folder: Path) -> RunSummary:
     done = recorded if isinstance(recorded, int) else None
     if last is not None:
         done, scalars = last["iteration"] + 1, last["scalars"]
-    total = None
+    written, match = None, _FOLDER.fullmatch(folder.name)
     with suppress(RunDirectoryError):
         written = _TOTAL.search(read_text(folder / "params" / "agent.yaml"))
-        total = int(written[1]) if written else None
-    match = _FOLDER.fullmatch(folder.name)
+    total = int(written[1]) if written else None
     newest = {entry.kind: entry.results for entry in facts.additions}  # by command, such as ``play``
     exports = [entry.results for entry in facts.additions if entry.kind == "export"]
     return RunSummary(
@@ -153,21 +153,19 @@ class SweepSummary:
 
 def list_sweeps(root: str | Path) -> list[SweepSummary]:
     """Return a summary of every sweep below ``root``, the newest first."""
-    found = [_sweep(path.parent) for path in (Path(root) / SWEEPS).glob(f"*/{SWEEP_NAME}")]
+    found = []
+    for folder in (path.parent for path in (Path(root) / SWEEPS).glob(f"*/{SWEEP_NAME}")):
+        moment = folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
+        try:
+            data = SweepIndex.load(folder).data
+            crashed = data["status"] == "running" and is_alive(data.get("process")) is False
+            jobs = dict(Counter(job["status"] for job in data["jobs"]))
+            swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
+            facts = (parse_utc(data["started"]), data["ended"], jobs, swept)
+            found.append(SweepSummary(folder.name, CRASHED if crashed else data["status"], folder, *facts))
+        except _DAMAGES as error:
+            found.append(SweepSummary(folder.name, DAMAGED, folder, moment, problem=str(error)))
     return sorted(found, key=lambda s: (s.started, s.id), reverse=True)
-
-
-def _sweep(folder: Path) -> SweepSummary:
-    moment = folder_moment(folder.name) or datetime.min.replace(tzinfo=UTC)
-    try:
-        data = SweepIndex.load(folder).data
-        crashed = data["status"] == "running" and is_alive(data.get("process")) is False
-        jobs = dict(Counter(job["status"] for job in data["jobs"]))
-        swept = tuple(dict.fromkeys(word.split("=")[0] for job in data["jobs"] for word in job["swept"]))
-        status = CRASHED if crashed else data["status"]
-        return SweepSummary(folder.name, status, folder, parse_utc(data["started"]), data["ended"], jobs, swept)
-    except (RunDirectoryError, LookupError, TypeError, ValueError, AttributeError) as error:
-        return SweepSummary(folder.name, DAMAGED, folder, moment, problem=str(error))
 
 
 def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | None, total: int | None) -> bool:
@@ -256,10 +254,8 @@ def swept_runs(root: Path) -> dict[Path, SweptRun]:
     """Return the sweep and the swept config values of each sweep run below ``root``; ignore damaged sweeps."""
     found: dict[Path, SweptRun] = {}
     for path in sorted((root / SWEEPS).glob(f"*/{SWEEP_NAME}")):
-        try:
+        with suppress(*_DAMAGES):
             found |= runs_of(SweepIndex.load(path.parent))
-        except (RunDirectoryError, LookupError, TypeError, ValueError, AttributeError):
-            continue
     return found
 
 
@@ -298,7 +294,7 @@ def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[R
         key, sign, wanted = match["key"].strip(), match["sign"], match["value"].strip()
         values = _values(runs, key, "--filter")
         known = [value for value in values.values() if value is not None]
-        is_text = all(isinstance(value, str) and not _starts_with_digit(value) for value in known)
+        is_text = all(isinstance(value, str) and not value[:1].isdigit() for value in known)
         if known and is_text and sign in _ORDERED and _number(wanted) is not None:
             message = f"'{key}' is text, such as '{known[0]}', and {wanted} is a number"
             raise WheellegError(message, key="--filter", expected=f"{key}=TEXT")
@@ -336,16 +332,12 @@ def _values(runs: Iterable[RunSummary], key: str, where: str) -> dict[Path, obje
     return found
 
 
-def _starts_with_digit(text: str) -> bool:
-    """Return whether a text, such as a date, starts with a digit, so that ``--filter`` can compare it with a number."""
-    return text[:1].isdigit()
-
-
 def _holds(value: object, sign: str, wanted: str) -> bool:
     number = _number(wanted)
     if sign in _ORDERED:
         if isinstance(value, str):
-            return (number is None or _starts_with_digit(value)) and _ORDERED[sign](value, wanted)
+            # A text that starts with a digit, such as a date, can be compared with a number.
+            return (number is None or value[:1].isdigit()) and _ORDERED[sign](value, wanted)
         if number is None:
             raise WheellegError(f"the value '{wanted}' is not a number", key="--filter", expected=f"KEY{sign}NUMBER")
         return isinstance(value, (int, float)) and _ORDERED[sign](value, number)

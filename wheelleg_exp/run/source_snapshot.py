@@ -34,17 +34,6 @@ _INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _GITLINK, _NO_MODE = "160000", "000000"
 
 
-@dataclass(frozen=True)
-class ChangedPath:
-    """A path in which the index differs from the base: modes and blob ids, zeros for a missing side."""
-
-    path: str
-    old_mode: str
-    old_id: str
-    new_mode: str
-    new_id: str
-
-
 @dataclass
 class _WorkingTree:
     """A git repository, and the paths of its source folders and files relative to the repository's top folder."""
@@ -148,22 +137,14 @@ def _not_captured(root: Path, reason: str) -> SourceRecord:
 
 
 def _installed(root: Path) -> SourceRecord:
-    name = _distribution_of(root)
+    # Find ``name==version`` of the installed package that contains ``root``.
+    place = next((place for place in root.parents if place.name in _INSTALL_FOLDERS), root)
+    top, packages = root.relative_to(place).parts[:1], metadata.distributions(path=[str(place)])
+    owners = (package for package in packages if any(file.parts[:1] == top for file in package.files or ()))
+    name = next((f"{owner.metadata['Name']}=={owner.version}" for owner in owners), None)
     note = f"'{root}' is installed{f' ({name})' if name else ''}: its digest is stored, not its files"
     digest = content_digest(root)
     return SourceRecord("installed", note=note, root=str(root), distribution=name, content_sha256=digest)
-
-
-def _distribution_of(root: Path) -> str | None:
-    """Return ``name==version`` of the installed package that contains a folder or file; None if no package is known."""
-    place = next((place for place in root.parents if place.name in _INSTALL_FOLDERS), None)
-    if place is None:
-        return None
-    top = root.relative_to(place).parts[0]
-    for found in metadata.distributions(path=[str(place)]):
-        if any(file.parts and file.parts[0] == top for file in found.files or ()):
-            return f"{found.metadata['Name']}=={found.version}"
-    return None
 
 
 def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[SourceRecord, bytes | None]:
@@ -203,22 +184,21 @@ def _capture(repository: Repository, record: SourceRecord, base: str, runs_root:
         filtered = _filtered(repository, repository.paths("ls-files", "-z"))
         refused += filtered + _add_working_tree(scratch, untracked)
         parts = scratch.paths("diff-index", "--cached", "--raw", "--no-renames", "--no-abbrev", "-z", base)
-        changes = []
-        for facts, path in zip(parts[::2], parts[1::2], strict=True):
-            old_mode, new_mode, old_id, new_id, _ = facts.removeprefix(":").split(" ")
-            changes.append(ChangedPath(path, old_mode, old_id, new_mode, new_id))
+        # The modes and blob ids of each changed path in the base and in the index; zeros for a missing side.
+        facts = (entry.removeprefix(":").split(" ") for entry in parts[::2])
+        changes = {path: (*fields[:4],) for path, fields in zip(parts[1::2], facts, strict=True)}
         # In the temporary index, restore the committed version of files with a git filter; mode 0 removes a file.
         names = {entry["path"] for entry in filtered}
-        reset = [(change, change.old_mode) for change in changes if change.path in names]
-        lines = [f"{'0' if mode == _NO_MODE else mode} {change.old_id}\t{change.path}" for change, mode in reset]
+        reset = [(path, mode, blob) for path, (mode, _, blob, _) in changes.items() if path in names]
+        lines = [f"{'0' if mode == _NO_MODE else mode} {blob}\t{path}" for path, mode, blob in reset]
         if lines:
             scratch.run("update-index", "-z", "--index-info", stdin=git.join_nul(lines))
         left_out = {entry["path"] for entry in refused}
         record.refused = list(refused)
         record.untracked = [path for path in untracked if path not in left_out]
-        stored = [change for change in changes if change.path not in left_out]
-        record.changed = [change.path for change in stored]
-        record.contents = {c.path: (state(c.old_mode, c.old_id), state(c.new_mode, c.new_id)) for c in stored}
+        stored = {path: change for path, change in changes.items() if path not in left_out}
+        record.changed = list(stored)
+        record.contents = {path: (state(c[0], c[2]), state(c[1], c[3])) for path, c in stored.items()}
         record.dirty = bool(changes) or len(refused) > len(filtered)
         record.submodules = _submodules(scratch)
         record.tree = scratch.text("write-tree")
@@ -228,7 +208,7 @@ def _capture(repository: Repository, record: SourceRecord, base: str, runs_root:
         options += ["--ignore-submodules=none", "--no-relative", "-U3"]
         patch = scratch.run("diff-index", *options, base)
         if len(patch) > cap:
-            present = [change.path for change in stored if change.new_mode not in (_NO_MODE, _GITLINK)]
+            present = [path for path, change in stored.items() if change[1] not in (_NO_MODE, _GITLINK)]
             _refuse_patch(record, _sizes(repository, present), "the patch has", len(patch), cap)
             return None
     notes = ["the repository has no commit, so the patch contains the whole tree"] if record.commit is None else []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.config.schema import RunOptions
 from wheelleg_exp.files import write_text
@@ -21,7 +20,7 @@ def start_run(
     directory: RunDirectory,
     *,
     command: Sequence[str],
-    params: Mapping[str, dict[str, Any]],
+    params: Mapping[str, object],
     hydra_files: Mapping[str, str],
     source_roots: Sequence[Path],
     seed: int | Sequence[int],

@@ -189,7 +189,7 @@ def _fill(
         env = ManagerBasedRLEnv({**params, "num_envs": 1}, mjcf, seed)
         policy = load_policy(checkpoint, RslRlVecEnv(env, agent.get("clip_actions")), read_agent(agent))
         task = str(run.manifest().data.get("task"))
-        return {}, write_isaac_lab_run(folder, env, params["num_envs"], agent, policy, task)
+        return {}, write_isaac_lab_run(folder, env, int(str(params["num_envs"])), agent, policy, task)
     plain = ManagerBasedRLEnv(as_configured(params), mjcf, seed)
     _require_unchanged(state)
     plain_spec = bundle_specification.specification(plain, agent, _ranges(plain, state))

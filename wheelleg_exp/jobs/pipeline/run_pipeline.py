@@ -159,7 +159,7 @@ class PipelineRunner:
         else:
             with suppress(RunDirectoryError):
                 manifest = RunDirectory(run).manifest()
-                done = int(manifest.results.get("iterations", 0)) if manifest.status == "finished" else 0
+                done = int(str(manifest.results.get("iterations", 0))) if manifest.status == "finished" else 0
         if run is not None and done < target:
             override = f"agent.max_iterations={target}"
             command = ["wheelleg", "resume", str(run), override]
