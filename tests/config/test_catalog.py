@@ -5,7 +5,7 @@ from wheelleg_exp.errors import ConfigError
 
 
 def test_tasks_have_the_comment_at_the_top_of_their_file(stock, user):
-    found = {entry.name: entry.help for entry in catalog.tasks([user])}
+    found = {entry.name: entry.help for entry in catalog.options("task", [user])}
     assert found == {"stand": "Stand still.", "walk": "Walk along.", "hop": "Hop, in a folder of the user's own."}
 
 

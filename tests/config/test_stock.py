@@ -41,7 +41,7 @@ def test_a_stock_task_is_one_step_above_a_base_and_sets_its_weights_and_few_sile
 
 
 def test_a_base_of_tasks_is_not_listed_and_names_the_key_that_a_task_must_set():
-    assert [entry.name for entry in catalog.tasks()] == TASKS
+    assert [entry.name for entry in catalog.options("task")] == TASKS
     for base in (configs_dir() / "task" / "base").glob("*.yaml"):
         with pytest.raises(ConfigError, match=r"task\.name: this value is missing \(configs/task/base/level\.yaml"):
             compose([f"task=base/{base.stem}"])

@@ -42,58 +42,39 @@ class Parser(argparse.ArgumentParser):
         """Convert an error message of argparse to a UsageError, and raise the UsageError."""
         known = [action for action in self._actions if action.help != argparse.SUPPRESS]
         options = [option for action in known for option in action.option_strings]
-        words = [action for action in self._actions if not action.option_strings]
-        wanted = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
-        optional = [str(action.metavar) for action in words if str(action.metavar) not in wanted]
-        raise _unknown_word(message, options) or _wrong_value(message, optional) or UsageError(message, key=self.prog)
-
-
-def _unknown_word(message: str, options: Sequence[str]) -> UsageError | None:
-    match = re.search(r"unrecognized arguments: (\S+)", message)
-    if match is None:
-        return None
-    word = match.group(1)
-    if not word.startswith("-"):
-        return UsageError("one word too many", key=word)
-    nearest = nearest_name(word.split("=")[0], options)
-    expected = "one of " + ", ".join(options)
-    if "=" in word and nearest is None:
-        expected = f"an override without dashes, {word.lstrip('-')}"
-    return UsageError("unknown option", key=word, expected=expected, nearest=nearest)
-
-
-def _wrong_value(message: str, optional: Sequence[str]) -> UsageError | None:
-    """Convert argparse's message about one argument: a missing argument, a wrong choice, or a wrong type."""
-    missing = re.match(r"the following arguments are required: (.+)", message)
-    if missing is not None:  # argparse lists even optional arguments as missing.
-        wanted = missing.group(1).split(", ")
-        # A required and an optional argument of a command can have the same name.
-        names = [name for name in wanted if name not in optional] or wanted
-        return UsageError("the argument is missing", key=", ".join(names))
-    argument = re.match(r"argument (\S+): (.+)", message)
-    if argument is None:
-        return None
-    key, text = argument.group(1), argument.group(2)
-    choice = re.match(r"invalid choice: '?(.*?)'? \(choose from (.+)\)", text)
-    if choice is not None:
-        names = [name.strip(" '") for name in choice.group(2).split(",")]
-        expected, nearest = "one of " + ", ".join(names), nearest_name(choice.group(1), names)
-        return UsageError(f"'{choice.group(1)}' is not known", key=key, expected=expected, nearest=nearest)
-    kind = re.match(r"invalid (\w+) value: '?(.*?)'?$", text)
-    if kind is not None:
-        meant = {"int": "a whole number", "float": "a number", "Path": "a path"}.get(kind.group(1), kind.group(1))
-        return UsageError(f"'{kind.group(2)}' is not of the right type", key=key, expected=meant)
-    return UsageError(text, key=key)
+        if unknown := re.search(r"unrecognized arguments: (\S+)", message):
+            word = unknown.group(1)
+            if not word.startswith("-"):
+                raise UsageError("one word too many", key=word)
+            nearest, expected = nearest_name(word.split("=")[0], options), "one of " + ", ".join(options)
+            if "=" in word and nearest is None:
+                expected = f"an override without dashes, {word.lstrip('-')}"
+            raise UsageError("unknown option", key=word, expected=expected, nearest=nearest)
+        if missing := re.match(r"the following arguments are required: (.+)", message):
+            # argparse lists even optional arguments as missing. A required one can have the same name.
+            words = [action for action in self._actions if not action.option_strings]
+            required = {str(action.metavar) for action in words if action.nargs not in ("*", "?")}
+            optional = {str(action.metavar) for action in words} - required
+            wanted = missing.group(1).split(", ")
+            names = [name for name in wanted if name not in optional] or wanted
+            raise UsageError("the argument is missing", key=", ".join(names))
+        argument = re.match(r"argument (\S+): (.+)", message)
+        if argument is None:
+            raise UsageError(message, key=self.prog)
+        key, text = argument.groups()
+        if choice := re.match(r"invalid choice: '?(.*?)'? \(choose from (.+)\)", text):
+            names = [name.strip(" '") for name in choice.group(2).split(",")]
+            expected, nearest = "one of " + ", ".join(names), nearest_name(choice.group(1), names)
+            raise UsageError(f"'{choice.group(1)}' is not known", key=key, expected=expected, nearest=nearest)
+        if kind := re.match(r"invalid (\w+) value: '?(.*?)'?$", text):
+            meant = {"int": "a whole number", "float": "a number", "Path": "a path"}.get(kind.group(1), kind.group(1))
+            raise UsageError(f"'{kind.group(2)}' is not of the right type", key=key, expected=meant)
+        raise UsageError(text, key=key)
 
 
 def offer(candidates: Candidates | Sequence[str], action: argparse.Action) -> None:
     """Set the words with which the shell completes an argument; files complete an argument of type Path."""
     vars(action)["candidates"] = candidates
-
-
-def offered(action: argparse.Action) -> Candidates | Sequence[str] | None:
-    """Return the candidates that ``offer`` has set for an argument, or the argument's choices."""
-    return vars(action).get("candidates", action.choices)
 
 
 def add_overrides(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,7 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import Parser, offer, offered
+from wheelleg_exp.cli.arguments import Parser, offer
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.paths import configs_dir
@@ -111,16 +111,12 @@ def candidates(words: list[str], word: str) -> list[str]:
         return []
     parser = Parser(prog=typed[0])
     import_module(f"wheelleg_exp.cli.{command.module}").configure(parser)
-    return _arguments(parser, typed[1:], word)
-
-
-def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> list[str]:
     known = [action for action in parser._actions if action.help != argparse.SUPPRESS]
     options = {text: action for action in known for text in action.option_strings}
     positionals = [action for action in parser._actions if not action.option_strings]
     given: dict[str, list[str]] = {}
     position, waiting = 0, None
-    for text in words:
+    for text in typed[1:]:
         if waiting is not None:
             given.setdefault(waiting.dest, []).append(text)
             waiting = None
@@ -137,7 +133,7 @@ def _arguments(parser: argparse.ArgumentParser, words: list[str], word: str) -> 
 
 def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list[str]:
     """Return the completion candidates for an argument; ``given`` contains the arguments before it, by name."""
-    kind = offered(action)
+    kind = vars(action).get("candidates", action.choices)  # ``offer`` has set the candidates.
     if kind is None:
         return _files(word) if action.type is Path else []
     if not isinstance(kind, str):
@@ -160,7 +156,7 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
     if kind == "group":
         return catalog.groups(folders)
     root = Path(given.get("root", ["runs"])[-1])
-    found = [entry.name for entry in catalog.tasks(folders)] if kind == "run or task" else []
+    found = [entry.name for entry in catalog.options("task", folders)] if kind == "run or task" else []
     found += [LATEST, *(PREFIX + name for name in stock_names()), *(folder.name for folder in run_folders(root))]
     if kind == "run to resume":
         found += sorted(path.parent.name for path in (root / PIPELINES).glob(f"*/{PIPELINE_NAME}"))

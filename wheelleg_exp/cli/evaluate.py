@@ -60,23 +60,6 @@ class Policy:
 
 
 @dataclass(frozen=True)
-class Request:
-    """The evaluations that the command line asks for.
-
-    ``policies`` are runs of one method that differ by their seed, and ``against`` the runs of another method, or empty.
-    ``engines`` are the names of two engines that are compared, or empty. ``reference`` evaluates the reference
-    controller too, and ``against_reference`` compares with it.
-    """
-
-    policies: list[Policy]
-    against: list[Policy]
-    overrides: list[str]
-    engines: tuple[str, ...]
-    reference: bool
-    against_reference: bool
-
-
-@dataclass(frozen=True)
 class Evaluator:
     """Evaluates policies with the settings of a command line; ``stored`` uses evaluations that a run already has."""
 
@@ -115,12 +98,18 @@ def run(args: argparse.Namespace) -> int:
     """Evaluate one or several policies, print and store their metrics, and compare the policies with each other."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
 
-    asked = _request(args)
+    policies, others, overrides, engines = _request(args)
+    reference = None
     with ConsoleDisplay(quiet=True) as display:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
-        made, against, reference = _evaluate(asked, evaluator)
+        groups = [(policies, overrides), (others, overrides)]
+        groups = [(policies, [*overrides, f"env.sim.engine={name}"]) for name in engines] or groups
+        made, against = ([evaluator.policy(one, words) for one in group] for group, words in groups)
+        if args.reference or REFERENCE in args.against:
+            reference = evaluator.reference(made[0], overrides)
+            against = [reference] if REFERENCE in args.against else against
     if len(made) > 1 or against or reference is not None:
-        return _compare(made, against, reference, args.command, asked.engines, json=args.json)
+        return _compare(made, against, reference, args.command, engines, json=args.json)
     (one,) = made
     if args.json:
         print_json({"run": str(one.run.path), "folder": str(one.folder), **one.content})
@@ -133,8 +122,11 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_OK
 
 
-def _request(args: argparse.Namespace) -> Request:
-    """Return the request of a command line; raise WheellegError if its options exclude each other."""
+def _request(args: argparse.Namespace) -> tuple[list[Policy], list[Policy], list[str], tuple[str, ...]]:
+    """Return the policies, those of ``--against``, the overrides, and the two engines to compare, if any.
+
+    Options that exclude each other raise WheellegError.
+    """
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
     others = [name for name in args.against if name != REFERENCE]
@@ -155,29 +147,8 @@ def _request(args: argparse.Namespace) -> Request:
     chosen, opposite = found(names, args.root, args.checkpoint), found(others, args.root, args.checkpoint)
     _require_one_robot(chosen, "RUN")
     _require_one_robot(opposite, "--against")
-    overrides += [] if args.engine is None else [_on_engine(args.engine)]
-    return Request(chosen, opposite, overrides, engines, args.reference, REFERENCE in args.against)
-
-
-def _on_engine(name: str) -> str:
-    return f"env.sim.engine={name}"
-
-
-def _evaluate(asked: Request, evaluator: Evaluator) -> tuple[list[Evaluated], list[Evaluated], Evaluated | None]:
-    """Return the evaluations of the policies, those that they are compared with, and that of the reference."""
-    if asked.engines:
-        first, second = (
-            [evaluator.policy(one, [*asked.overrides, _on_engine(name)]) for one in asked.policies]
-            for name in asked.engines
-        )
-        return first, second, None
-    made, against = (
-        [evaluator.policy(one, asked.overrides) for one in side] for side in (asked.policies, asked.against)
-    )
-    if not (asked.reference or asked.against_reference):
-        return made, against, None
-    reference = evaluator.reference(made[0], asked.overrides)
-    return made, [reference] if asked.against_reference else against, reference
+    overrides += [] if args.engine is None else [f"env.sim.engine={args.engine}"]
+    return chosen, opposite, overrides, engines
 
 
 def _compare(

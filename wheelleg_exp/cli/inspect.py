@@ -92,12 +92,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--around", metavar="LENGTH", help="with --where: print also the rows around each time: 0.5s, 200ms, 30steps")
     add("--limit", type=_count, metavar="N", help="the most lines to print (default: 10)")
     add("--compare", metavar="RUN|FILE", help="another recording; exit status 1 if they differ")
-    _add_picture_options(parser)
-    add_json(parser)
-
-
-def _add_picture_options(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
     text = "draw curves into a .png, .svg or .pdf: each --term, otherwise a default page; "
     text += "with --compare both recordings"
     add("--plot", type=Path, metavar="FILE", help=text)
@@ -114,6 +108,7 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     add("--web", action="store_true", help="serve rerun's viewer for a browser on this machine")
     add("--port", type=int, metavar="N", help="port of --web (default: a free one)")
     add("--no-browser", action="store_true", help="with --web: do not open a browser")
+    add_json(parser)
 
 
 def _count(text: str) -> int:
@@ -125,6 +120,7 @@ def _count(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """Run each action that an option such as ``--plot`` requests, and return the highest exit status of the actions."""
     from wheelleg_exp.inspection.recording_target import find_target
+    from wheelleg_exp.inspection.row_selection import Selection, parse_iterations, parse_length, require_order
 
     if args.against is not None:
         return _against(args)
@@ -140,7 +136,14 @@ def run(args: argparse.Namespace) -> int:
             message = "the option has no effect on the chosen actions"
             raise UsageError(message, key=word, expected="also " + " or ".join(users))
     target = find_target(args.recording, args.root, play=args.play)
-    inspected = Inspected(target, _selection_of(args), args.id)
+    selection = Selection(
+        env_id=args.env,
+        iterations=None if args.iteration is None else parse_iterations(args.iteration),
+        begin=None if args.begin is None else parse_length(args.begin, "--from"),
+        end=None if args.end is None else parse_length(args.end, "--to"),
+    )
+    require_order(selection)
+    inspected = Inspected(target, selection, args.id)
     results = {}
     for action in chosen:
         results[action.name] = result = action.run(args, inspected)
@@ -186,19 +189,6 @@ def _against(args: argparse.Namespace) -> int:
 
 def _is_given(args: argparse.Namespace, option: str) -> bool:
     return getattr(args, option) not in (None, False, [])
-
-
-def _selection_of(args: argparse.Namespace) -> Selection:
-    from wheelleg_exp.inspection.row_selection import Selection, parse_iterations, parse_length, require_order
-
-    chosen = Selection(
-        env_id=args.env,
-        iterations=None if args.iteration is None else parse_iterations(args.iteration),
-        begin=None if args.begin is None else parse_length(args.begin, "--from"),
-        end=None if args.end is None else parse_length(args.end, "--to"),
-    )
-    require_order(chosen)
-    return chosen
 
 
 def _other_recording(args: argparse.Namespace) -> Recording:
@@ -381,12 +371,8 @@ def _video(args: argparse.Namespace, inspected: Inspected) -> Result:
         height=height,
         progress=progress if sys.stderr.isatty() else None,
     )
-    facts: dict[str, object] = {
-        "frames": done.frames,
-        "fps": done.fps,
-        "duration_s": done.duration,
-        "codec": done.codec,
-    }
+    facts: dict[str, object] = {"frames": done.frames, "fps": done.fps, "duration_s": done.duration}
+    facts["codec"] = done.codec
     facts["env"] = inspected.recording.env_ids[0] if inspected.selection.env_id is None else inspected.selection.env_id
     text = f" ({_environment(done.env_id)}{done.frames} pictures, {done.duration:.1f} s, {done.codec})"
     return _written(args.video, facts, text)

@@ -115,7 +115,7 @@ def _entries(columns: list[str], entries: list[Entry]) -> Listed:
 
 
 def _tasks(args: argparse.Namespace) -> Listed:
-    return _entries(["task", "help", "file"], catalog.tasks(args.config_dirs))
+    return _entries(["task", "help", "file"], catalog.options("task", args.config_dirs))
 
 
 def _groups(args: argparse.Namespace) -> Listed:

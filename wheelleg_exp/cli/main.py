@@ -108,8 +108,18 @@ def _answer(words: list[str], debug: bool) -> int:
 
 
 def _dispatch(words: list[str]) -> int:
+    lines = "\n".join(hanging(command.help, 16, f"  {name}") for name, command in COMMANDS.items())
+    script = Parser(
+        prog="wheelleg",
+        usage="wheelleg COMMAND [OVERRIDE ...] [options]",
+        description=hanging("Config-first, reproducible reinforcement learning for wheel-legged robots.", 0),
+        epilog=f"commands:\n{lines}\n\nFor the options of a command: wheelleg COMMAND --help",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    script.add_argument("--version", action="version", version=f"wheelleg {__version__}")
+    script.add_argument("--debug", action="store_true", help="show the traceback of an error")
     split = next((i for i, word in enumerate(words) if not word.startswith("-")), len(words))
-    if _parse(_script_parser(), words[:split]) is None:
+    if _parse(script, words[:split]) is None:
         return EXIT_OK
     commands = "one of " + ", ".join(COMMANDS)
     if split == len(words):
@@ -127,20 +137,15 @@ def _dispatch(words: list[str]) -> int:
     if args is None:
         return EXIT_OK
     args.command = ["wheelleg", name, *words]
-    if command.project:
-        _enter_project(args)
-    return int(getattr(module, command.run)(args))
-
-
-def _enter_project(args: argparse.Namespace) -> None:
-    """Load the user project in the current folder; for ``train`` and ``resume``, trust the code in ``--config-dir``."""
-    if hasattr(args, "config_dirs"):
+    # Load the user project in the current folder; for ``train`` and ``resume``, trust the code in ``--config-dir``.
+    if command.project and hasattr(args, "config_dirs"):
         named, args.config_dirs = len(args.config_dirs), with_current(args.config_dirs)
-        if args.command[1] in ("train", "resume"):
+        if name in ("train", "resume"):
             trust(args.config_dirs[:named])
-        return
-    with suppress(ConfigError):  # A command that reads no configs ignores errors in the user's project.
-        with_current([])
+    elif command.project:
+        with suppress(ConfigError):  # A command that reads no configs ignores errors in the user's project.
+            with_current([])
+    return int(getattr(module, command.run)(args))
 
 
 def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
@@ -149,20 +154,6 @@ def _parse(parser: Parser, words: list[str]) -> argparse.Namespace | None:
         return parser.parse_intermixed_args(words)
     except SystemExit:  # Only --help and --version raise SystemExit; wrong options raise UsageError.
         return None
-
-
-def _script_parser() -> Parser:
-    lines = "\n".join(hanging(command.help, 16, f"  {name}") for name, command in COMMANDS.items())
-    parser = Parser(
-        prog="wheelleg",
-        usage="wheelleg COMMAND [OVERRIDE ...] [options]",
-        description=hanging("Config-first, reproducible reinforcement learning for wheel-legged robots.", 0),
-        epilog=f"commands:\n{lines}\n\nFor the options of a command: wheelleg COMMAND --help",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"wheelleg {__version__}")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    return parser
 
 
 def _failed(message: str, status: int, debug: bool) -> int:

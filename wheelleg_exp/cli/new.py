@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"  note: {note}")
     for rule, text in made.accepted.items():
         print(f"  accepted as a property of the robot ({rule}): {text}")
-    name = made.name
+    name = made.path.name
     print(f"next: cd {shown}")
     print(f"      wheelleg check --physics task={name}")
     print(f"      wheelleg train task={name}    # learns to stand: some minutes on two cores")

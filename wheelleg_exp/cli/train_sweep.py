@@ -19,7 +19,7 @@ from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose_sweep import Sweep
-    from wheelleg_exp.run.run_index import JobEntry, SweepIndex
+    from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
 _MOST_SHOWN = 3
@@ -126,7 +126,13 @@ def _crowded(sweep: Sweep, at_once: int) -> str | None:
 
 
 def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
-    print_table(("job", "overrides", "status", "return", "run"), [_row(index, job) for job in index.jobs])
+    rows = []
+    for job in index.jobs:
+        run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
+        status = "not started" if job["status"] == "waiting" else job["status"]
+        figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
+        rows.append((job["number"], " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"))
+    print_table(("job", "overrides", "status", "return", "run"), rows)
     done = [job for job in index.jobs if job["status"] == "finished"]
     print(f"\n{len(done)} of {len(index.jobs)} jobs finished: {shown(index.path)}")
     program = tool("wheelleg")
@@ -143,10 +149,3 @@ def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
     for label, lines in (("next:", list(map(shlex.join, following))), ("retry:", again)):
         for number, line in enumerate(lines):
             print(f"{'' if number else label:<6} {line}")
-
-
-def _row(index: SweepIndex, job: JobEntry) -> list[str]:
-    run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
-    status = "not started" if job["status"] == "waiting" else job["status"]
-    figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
-    return [str(job["number"]), " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"]

@@ -100,9 +100,22 @@ def slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
     extension = extension_of(keys)
     if extension is not None and isinstance(node, Mapping):
         return class_slots(extension, keys[-1])
-    inside_default = _default_slots(tree, keys) if node is None and keys else {}
-    options = None if inside_default else _options(tree, keys)
-    return inside_default if options is None else _dataclass_slots(options, keys)
+    above = slot(tree, keys)
+    if above is None:
+        return {}
+    if node is None and (inside_default := _default_slots(above.default)):
+        return inside_default
+    options = dataclass_of(above.annotation, section_at(tree, keys))
+    if options is None:
+        return {}
+    lines, fields = parameter_lines(options), {f.name: f for f in dataclasses.fields(options)}
+    made = {}
+    for name, key in keys_of(options).items():
+        factory, default = fields[name].default_factory, fields[name].default
+        default = factory() if factory is not dataclasses.MISSING else default
+        default = REQUIRED if default is dataclasses.MISSING else default
+        made[name] = Slot(key.annotation, default, lines.get(name) or meaning_of((*keys, name)), _name(options))
+    return made
 
 
 def is_settable(tree: Mapping[str, object], keys: Keys) -> bool:
@@ -133,24 +146,6 @@ def target_of(node: object) -> Callable[..., object] | None:
         return None
 
 
-def _options(tree: Mapping[str, object], keys: Keys) -> type | None:
-    if not keys:
-        return schema.root_of(tree)
-    above = slot(tree, keys)
-    return None if above is None else dataclass_of(above.annotation, section_at(tree, keys))
-
-
-def _dataclass_slots(options: type, keys: Keys) -> dict[str, Slot]:
-    lines, made = parameter_lines(options), {}
-    fields = {f.name: f for f in dataclasses.fields(options)}
-    for name, key in keys_of(options).items():
-        factory, default = fields[name].default_factory, fields[name].default
-        default = factory() if factory is not dataclasses.MISSING else default
-        default = REQUIRED if default is dataclasses.MISSING else default
-        made[name] = Slot(key.annotation, default, lines.get(name) or meaning_of((*keys, name)), _name(options))
-    return made
-
-
 def _target_slots(node: Mapping[str, object]) -> dict[str, Slot]:
     own = {TARGET: Slot(str, meaning=KEYS["*._target_"])}
     target = target_of(node)
@@ -162,14 +157,13 @@ def _signature_slots(target: Callable[..., object], parameters: Mapping[str, ins
     return {n: Slot(hints.get(n, Any), p.default, lines.get(n, ""), _name(target)) for n, p in parameters.items()}
 
 
-def _default_slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
+def _default_slots(default: object) -> dict[str, Slot]:
     """Return the types and values of the attributes of a parameter's default object, such as ``SceneEntityCfg()``."""
-    above = slot(tree, keys)
-    if above is None or above.default is REQUIRED or type(above.default).__module__ == "builtins":
+    kind = type(default)
+    if default is REQUIRED or kind.__module__ == "builtins":
         return {}
-    kind = type(above.default)
     made = _signature_slots(kind, signature_parameters(kind))
-    return {n: dataclasses.replace(s, default=getattr(above.default, n, s.default)) for n, s in made.items()}
+    return {n: dataclasses.replace(s, default=getattr(default, n, s.default)) for n, s in made.items()}
 
 
 def class_slots(found: Callable[..., object], section: str) -> dict[str, Slot]:

@@ -133,15 +133,14 @@ def defaults_items(file: Path) -> list[yaml.Node]:
 
 def defaults_entries(file: Path) -> list[DefaultsEntry]:
     """Return the entries of a config file's defaults list that name a config group."""
-    items = defaults_items(file)
-    return [_entry(*pair) for item in items if isinstance(item, yaml.MappingNode) for pair in item.value]
-
-
-def _entry(key: yaml.Node, value: yaml.Node) -> DefaultsEntry:
-    words = str(key.value).split()
-    chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value
-    line = key.start_mark.line + 1
-    return DefaultsEntry(words[-1], chosen, "override" in words[:-1], "optional" in words[:-1], line)
+    found = []
+    for item in defaults_items(file):
+        for key, value in item.value if isinstance(item, yaml.MappingNode) else ():
+            *flags, name = str(key.value).split()
+            chosen = [str(n.value) for n in value.value] if isinstance(value, yaml.SequenceNode) else value.value
+            line = key.start_mark.line + 1
+            found.append(DefaultsEntry(name, chosen, "override" in flags, "optional" in flags, line))
+    return found
 
 
 def self_before_others(file: Path) -> bool:

@@ -50,7 +50,7 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
     if words and (Path(first) / MANIFEST_NAME).is_file():
         return _run(RunDirectory.open(first, root), rest), None
     if words and not is_override(first):
-        tasks = [entry.name for entry in catalog.tasks(config_dirs)]
+        tasks = [entry.name for entry in catalog.options("task", config_dirs)]
         if first not in tasks:
             try:
                 run = RunDirectory.open(first, root)

@@ -118,7 +118,6 @@ class Created:
     """A new project at ``path``. ``accepted`` maps each lint rule that the task silences to the rule's message."""
 
     path: Path
-    name: str
     files: list[Path]
     robot: Survey
     accepted: dict[str, str]
@@ -169,7 +168,7 @@ def create(place: Path, source: Path | None = None, *, allow_missing: bool = Fal
         files = sorted(file.relative_to(draft) for file in draft.rglob("*") if file.is_file())
         _require_free(path)
         draft.rename(path)
-    return Created(path, name, files, robot, accepted)
+    return Created(path, files, robot, accepted)
 
 
 def _require_free(path: Path) -> None:

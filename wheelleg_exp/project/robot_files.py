@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,12 @@ def _copy_usd(source: Path, folder: Path) -> Path:
         files = {Path(layer.realPath.split("[")[0]) for layer in layers if layer.realPath}
         files |= {Path(asset.split("[")[0]) for asset in assets}
         files = {file.resolve() for file in files if file.is_file()}
-        if _copied_in_place(source, files, folder):
+        home = source.resolve().parent
+        if all(file.is_relative_to(home) for file in files):
+            for file in {source.resolve(), *files}:
+                _copy(file, folder / file.relative_to(home))
+            if source.name != source.resolve().name:  # Copy the robot file also under the name of its symbolic link.
+                _copy(source, folder / source.name)
             return folder / source.name
         # The USD library copies files from outside the robot's folder, and updates their paths in the copies.
         done = UsdUtils.LocalizeAsset(str(source.resolve()), str(folder), False, chosen)
@@ -98,18 +103,6 @@ def _is_look(file: Path) -> bool:
     return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
 
 
-def _copied_in_place(source: Path, files: Iterable[Path], folder: Path) -> bool:
-    """Copy a robot's files if all of them are below the folder of the robot file. Otherwise return False."""
-    home = source.resolve().parent
-    if not all(file.is_relative_to(home) for file in files):
-        return False
-    for file in {source.resolve(), *files}:
-        _copy(file, folder / file.relative_to(home))
-    if source.name != source.resolve().name:  # Copy the robot file also under the name of its symbolic link.
-        _copy(source, folder / source.name)
-    return True
-
-
 def _copy(file: Path, to: Path) -> None:
     to.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(file, to)
@@ -122,8 +115,14 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
     names = {name for element in elements if (name := element.attributes.get("filename"))}
     paths = {name: files.find(name, (*MESHES, *TEXTURES)) for name in sorted(names)}
     found = {name: path.resolve() for name, path in paths.items() if path is not None}
-    kept = {name: place for name, path in found.items() if (place := _place_in(name, path, source)) is not None}
-    text = source.read_bytes()
+    # The copied URDF keeps the relative paths of the files that are below its folder.
+    kept, text = {}, source.read_bytes()
+    for name, path in found.items():
+        plain = Path(os.path.normpath(name))
+        beside = source.resolve().parent / plain
+        is_below = not plain.is_absolute() and plain.parts[0] != ".." and ":" not in name and "\\" not in name
+        if is_below and beside.is_file() and beside.resolve() == path:
+            kept[name] = plain.as_posix()
     taken = {found[name]: place for name, place in kept.items()}
     for name, path in found.items():
         place = kept.get(name)
@@ -134,15 +133,6 @@ def _copy_urdf(source: Path, folder: Path) -> Path:
     copy = folder / source.name
     copy.write_bytes(text)
     return copy
-
-
-def _place_in(name: str, path: Path, source: Path) -> str | None:
-    """Return a mesh's relative path if the copied URDF can keep this path, or None if the copy needs a new path."""
-    plain = Path(os.path.normpath(name))
-    if plain.is_absolute() or plain.parts[0] == ".." or ":" in name or "\\" in name:
-        return None
-    beside = source.resolve().parent / plain
-    return plain.as_posix() if beside.is_file() and beside.resolve() == path else None
 
 
 def _free(name: str, taken: dict[Path, str]) -> str:

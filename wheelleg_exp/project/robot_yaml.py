@@ -92,7 +92,7 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     wanted = {n: max(load.inertia * _LEG_RATE**2, load.hold / _SAG) for n, load in loads.items()}
     stiffness, given = _filled(robot, held, file_stiffness, lambda n: min(wanted[n], 2 * loads[n].stiffest))
     critical = {n: math.sqrt(stiffness[n] * max(load.inertia, load.carried)) for n, load in loads.items()}
-    own_damping = {n: None if n in untaken else _damping(dofs[n]) for n in held}
+    own_damping = {n: None if n in untaken else _damping(dofs[n], of_speed=False) for n in held}
     damping, own = _filled(robot, held, own_damping.__getitem__, lambda n: 2 * _DAMPING_RATIO * critical[n])
     strong = {n: max(_STRENGTH * load.hold, stiffness[n] * _SAG * _STRENGTH) for n, load in loads.items()}
     effort, limited = _filled(robot, held, file_effort, strong.__getitem__)
@@ -141,7 +141,7 @@ def wheel_gains(robot: Survey) -> Gains:
 
     dofs, refused = robot.dofs, list[str]()
     started = {name: (facts.joints[name].effective + share) / _WHEEL_TIME for name in robot.wheels}
-    damping, own = _filled(robot, robot.wheels, lambda n: _speed_gain(dofs[n]), started.__getitem__)
+    damping, own = _filled(robot, robot.wheels, lambda n: _damping(dofs[n], of_speed=True), started.__getitem__)
     # ``slips`` is the torque at which a wheel slips, N·m.
     slips = max(facts.friction, 0.5) * facts.weight / count * robot.radius
 
@@ -175,15 +175,11 @@ def _stiffness(dof: Dof) -> float | None:
     return dof.drive.stiffness if dof.drive is not None and dof.drive.stiffness > 0 else None
 
 
-def _damping(dof: Dof) -> float | None:
+def _damping(dof: Dof, *, of_speed: bool) -> float | None:
+    """Return the damping of a position drive, or of a velocity drive, which is the gain of its speed error."""
     drive = dof.drive
-    return drive.damping if drive is not None and drive.stiffness > 0 and drive.damping > 0 else None
-
-
-def _speed_gain(dof: Dof) -> float | None:
-    """Return the damping of a velocity drive, which is the gain of its speed error; None for a position drive."""
-    drive = dof.drive
-    return drive.damping if drive is not None and drive.stiffness == 0 and drive.damping > 0 else None
+    is_wanted = drive is not None and (drive.stiffness == 0) == of_speed and drive.damping > 0
+    return drive.damping if drive is not None and is_wanted else None
 
 
 def _effort(dof: Dof) -> float | None:
@@ -209,11 +205,29 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
     size = f" of {1e3 * robot.radius:.3g} mm radius" if robot.wheels else ""
     held = f"; {_counted(len(robot.held), 'other joint')} held still" if robot.held else ""
     as_in_file = ", as the file has it" if robot.standing is None or robot.standing.frame is None else ""
-    kept = (
-        f"  # rad (m for a slide){_pose_note(robot)}; other joints are 0{_limits(robot)}"
-        if moved
-        else "  # rad; all joints are 0"
-    )
+    stance = robot.standing.stance if robot.standing is not None else None
+    note, kept = "", "  # rad; all joints are 0"
+    if stance is not None:
+        share = round(100 * stance.height / stance.tallest) if stance.tallest > 0 else 0
+        balanced = ", the mass over the axle" if stance.balanced and robot.anatomy.one_axle else ""
+        note = f": {share} % of the largest height{balanced}"
+    if moved:
+        limited = ((name, dof.range) for name, dof in robot.dofs.items() if dof.range is not None)
+        at_zero = ", ".join(name for name, (low, high) in limited if not low <= 0.0 <= high)
+        outside = f"; 0 is outside the limits of {at_zero}" if at_zero else ""
+        kept = f"  # rad (m for a slide){note}; other joints are 0{outside}"
+    pairs = [pair for pair in robot.anatomy.mirrored if pair.left in robot.legs and pair.right in robot.legs]
+    # Stock terms refer to these keys, such as ``${env.robot.joint_sets.legs}``.
+    joints = {
+        "legs": robot.legs,
+        "wheels": robot.wheels,
+        "left_legs": [pair.left for pair in pairs],
+        "right_legs": [pair.right for pair in pairs],
+        "leg_actions": robot.legs,
+        "wheel_actions": robot.wheels,
+    }
+    legs = [name for name in robot.raised_bodies if name != robot.trunk]
+    bodies = {"base": [robot.trunk], "legs": legs, "wheels": robot.wheel_bodies}
     groups = ""
     if robot.legs:
         groups += _group("legs", robot.legs, leg_gains(robot))
@@ -235,33 +249,17 @@ init_state:
 joint_order: null                  # breadth first, as in PhysX; or a list of all joints
 soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
-{_sizes_and_names(robot)}{_frame(robot)}{_self_collisions(robot)}actuators:
+standing_height: {number(facts.standing_height)}    # m, of the root link in the default pose
+wheel_radius: {number(robot.radius) if robot.wheels else "null"}    # m
+joint_sets:    # joints by role, to which terms refer; actions in this order
+{_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
+{_named_lists(bodies)}{_frame(robot)}{_self_collisions(robot)}actuators:
 {groups}"""
 
 
 def spawn_height(robot: Survey) -> float:
     """Return the height of the root link at which the lowest collider touches the ground, m, rounded up."""
     return round(math.ceil(robot.facts.standing_height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
-
-
-def _sizes_and_names(robot: Survey) -> str:
-    """Return the keys to which the stock terms refer, such as ``${env.robot.joint_sets.legs}``."""
-    pairs = [pair for pair in robot.anatomy.mirrored if pair.left in robot.legs and pair.right in robot.legs]
-    joints = {
-        "legs": robot.legs,
-        "wheels": robot.wheels,
-        "left_legs": [pair.left for pair in pairs],
-        "right_legs": [pair.right for pair in pairs],
-        "leg_actions": robot.legs,
-        "wheel_actions": robot.wheels,
-    }
-    legs = [name for name in robot.raised_bodies if name != robot.trunk]
-    bodies = {"base": [robot.trunk], "legs": legs, "wheels": robot.wheel_bodies}
-    return f"""standing_height: {number(robot.facts.standing_height)}    # m, of the root link in the default pose
-wheel_radius: {number(robot.radius) if robot.wheels else "null"}    # m
-joint_sets:    # joints by role, to which terms refer; actions in this order
-{_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
-{_named_lists(bodies)}"""
 
 
 def _named_lists(lists: Mapping[str, Sequence[str]]) -> str:
@@ -291,22 +289,8 @@ self_collisions: false             # {_TOUCH}
 """
 
 
-def _pose_note(robot: Survey) -> str:
-    stance = robot.standing.stance if robot.standing is not None else None
-    if stance is None:
-        return ""
-    share = round(100 * stance.height / stance.tallest) if stance.tallest > 0 else 0
-    balanced = ", the mass over the axle" if stance.balanced and robot.anatomy.one_axle else ""
-    return f": {share} % of the largest height{balanced}"
-
-
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def _limits(robot: Survey) -> str:
-    at_zero = [n for n, dof in robot.dofs.items() if dof.range is not None and not dof.range[0] <= 0.0 <= dof.range[1]]
-    return "; 0 is outside the limits of " + ", ".join(at_zero) if at_zero else ""
 
 
 def _group(name: str, joints: list[str], gains: Gains) -> str:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import UsageError, add_json, add_overrides, print_json
 from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
-from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_INPUT, EXIT_OK, ConfigError
 from wheelleg_exp.terms.key_syntax import names_pipeline
 
@@ -45,7 +44,16 @@ def run(args: argparse.Namespace) -> int:
 
     composed, mistakes = find_mistakes(args.overrides, config_dirs=args.config_dirs)
     if not mistakes and composed is not None and composed.config.get("init_from") is not None:
-        mistakes = _of_initial(composed, quiet=args.json)
+        from wheelleg_exp.config.config_errors import parts
+        from wheelleg_exp.jobs.train.initial_networks import initial_file
+
+        notes: list[str] = []
+        try:
+            with composed.placing(), initial_file(composed.config, notes.append):
+                for line in notes if not args.json else ():
+                    print(line)
+        except ConfigError as error:
+            mistakes = parts(error)
     if mistakes:
         return report_mistakes(mistakes, as_json=args.json)
     assert composed is not None
@@ -63,21 +71,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(f"no mistakes in the task '{composed.config['task']['name']}'")
     return EXIT_OK
-
-
-def _of_initial(composed: Composed, *, quiet: bool) -> list[ConfigError]:
-    """Return the errors in ``init_from``; print how the observations of the initial policy and of the task differ."""
-    from wheelleg_exp.config.config_errors import parts
-    from wheelleg_exp.jobs.train.initial_networks import initial_file
-
-    notes: list[str] = []
-    try:
-        with composed.placing(), initial_file(composed.config, notes.append):
-            for line in notes if not quiet else ():
-                print(line)
-            return []
-    except ConfigError as error:
-        return list(parts(error))
 
 
 def report_mistakes(mistakes: Sequence[ConfigError], *, as_json: bool) -> int:

@@ -35,8 +35,17 @@ def run(args: argparse.Namespace) -> int:
         from wheelleg_exp.inspection.robot_picture import require_picture
 
         require_picture(args.screenshot)
-    if _names_a_file(args.overrides[0]):
-        found = _of_file(args.overrides, args.config_dirs)
+    robot, *others = args.overrides
+    if "=" not in robot and (Path(robot).suffix.lower() in _FILES or Path(robot).is_file()):
+        from wheelleg_exp.lint.diagnosis import diagnose_file
+
+        if others:
+            expected = "a robot's file alone, or task=… with overrides"
+            raise UsageError("one word too many", key=others[0], expected=expected)
+        if set(args.config_dirs) - {*with_current([])}:
+            message = "the option applies only to a task"
+            raise UsageError(message, key="--config-dir", expected=f"'{robot}' alone, or task=…")
+        found = diagnose_file(Path(robot))
     else:
         from wheelleg_exp.cli.configs.check import report_mistakes
         from wheelleg_exp.config.checking.find_mistakes import find_mistakes
@@ -57,21 +66,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(found, show_all=args.all)
     return EXIT_FINDING if found.findings else EXIT_OK
-
-
-def _names_a_file(word: str) -> bool:
-    return "=" not in word and (Path(word).suffix.lower() in _FILES or Path(word).is_file())
-
-
-def _of_file(words: list[str], config_dirs: list[Path]) -> Diagnosis:
-    from wheelleg_exp.lint.diagnosis import diagnose_file
-
-    if len(words) > 1:
-        raise UsageError("one word too many", key=words[1], expected="a robot's file alone, or task=… with overrides")
-    if set(config_dirs) - {*with_current([])}:
-        message = "the option applies only to a task"
-        raise UsageError(message, key="--config-dir", expected=f"'{words[0]}' alone, or task=…")
-    return diagnose_file(Path(words[0]))
 
 
 def _show(found: Diagnosis, *, show_all: bool) -> None:

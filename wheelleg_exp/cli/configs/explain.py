@@ -24,6 +24,8 @@ from wheelleg_exp.report.value_format import plain as shown
 from wheelleg_exp.terms.key_syntax import is_override, split_path
 
 _LABEL = 14
+_HEADS = {"not selected": "a term that is not selected", "group": "a group", "term": "a term", "section": "a section"}
+_NODES = ("term", "section")
 _SHOWN = 24  # `wheelleg explain` prints at most 24 values or keys of a list.
 
 
@@ -54,7 +56,15 @@ def run(args: argparse.Namespace) -> int:
 
 def text(explained: Explanation) -> Iterator[str]:
     """Yield the lines of text that explain a config key."""
-    yield _headline(explained)
+    if explained.kind == "removed":
+        yield f"{explained.key}: removed by {explained.sources[-1].where}"
+    elif explained.kind == "not set":
+        default = f"default {shown(explained.value)}" if explained.has_value else "it has no default"
+        yield f"{explained.key}: not set; {default}"
+    elif explained.kind in _HEADS and (explained.kind not in _NODES or isinstance(explained.value, Mapping)):
+        yield f"{explained.key}: {_HEADS[explained.kind]}"
+    else:
+        yield f"{explained.key} = {shown(explained.value)}"
     if not explained.is_read:
         yield "  warning     nothing reads this key"
     if explained.unit:
@@ -77,24 +87,9 @@ def text(explained: Explanation) -> Iterator[str]:
         yield from _mount(explained, explained.mount)
 
 
-def _headline(explained: Explanation) -> str:
-    if explained.kind == "removed":
-        return f"{explained.key}: removed by {explained.sources[-1].where}"
-    if explained.kind == "not selected":
-        return f"{explained.key}: a term that is not selected"
-    if explained.kind == "not set":
-        default = f"default {shown(explained.value)}" if explained.has_value else "it has no default"
-        return f"{explained.key}: not set; {default}"
-    if explained.kind == "group":
-        return f"{explained.key}: a group"
-    if explained.kind in ("term", "section") and isinstance(explained.value, Mapping):
-        return f"{explained.key}: a {explained.kind}"
-    return f"{explained.key} = {shown(explained.value)}"
-
-
 def _allowed(explained: Explanation) -> Iterator[str]:
     other = explained.alternatives
-    if explained.kind in ("term", "section"):
+    if explained.kind in _NODES:
         if other.keys:
             yield "  not set     " + _cut([f"{name}={shown(default)}" for name, default in other.keys])
         return

@@ -59,7 +59,11 @@ def show(conversion: Conversion, scene: Path | None) -> None:
         first = next(iter(values.values()))
         rows.append((rule, _short(first) if equal else f"{_short(first)}, ...", _places(values)))
     _section("Assumed", ("rule", "value", "where"), rows)
-    _left_out(report)
+    # Print what the converter left out of the robot file, and sort harmless omissions to the end.
+    harmless = ("declared without", "a note of", "there is one")
+    items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
+    if names := list(dict.fromkeys(item.name for item in items)):
+        print("\n" + hanging(printable(f"Left out: {_few(names)}; --json contains the reasons"), 4))
     output = shown(conversion.output.resolve())
     print(f"\nWrote {output}" + ("" if scene is None else f", and next to it {scene.name} with a floor and a light"))
     if report.base == "fixed":
@@ -145,16 +149,6 @@ def _joints(conversion: Conversion) -> Iterator[tuple[str, ...]]:
 
 def _shortly(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, (int, float)) and math.isfinite(value) else str(value)
-
-
-def _left_out(report: Report) -> None:
-    # Print what the converter left out of the robot file, and sort harmless omissions to the end.
-    harmless = ("declared without", "a note of", "there is one")
-    items = sorted(report.left_out, key=lambda item: item.reason.startswith(harmless))
-    if items:
-        names = list(dict.fromkeys(item.name for item in items))
-        print()
-        print(hanging(printable(f"Left out: {_few(names)}; --json contains the reasons"), 4))
 
 
 def _places(paths: Iterable[str]) -> str:

@@ -65,7 +65,15 @@ def print_hits(hits: Sequence[Hit], limit: int, units: Mapping[str, str]) -> Non
     else:
         for hit in hits[:limit]:
             print(f"\n{when(hit.first, several)}" + (f" to {when(hit.last)}" if hit.frames > 1 else ""))
-            _print_rows(hit, units)
+            frames, first, last = hit.around, hit.first.step, hit.last.step
+            assert frames is not None
+            table = []
+            for row in range(len(frames)):
+                step = frames.moment(row).step
+                inside = step is not None and first is not None and last is not None and first <= step <= last
+                cells = (_cell(frames, name, row) for name in frames.table.column_names)
+                table.append(("*" if inside else "", *cells))
+            print_table(("", *(_named(name, units) for name in frames.table.column_names)), table)
     if len(hits) > limit:
         print(f"… and {len(hits) - limit} more (--limit)")
 
@@ -105,17 +113,6 @@ def _difference(found: NumberDifference) -> Row:
     values = (found.parting.first, found.parting.second, found.largest)
     sides = (found.first.mean, found.second.mean, found.first.std, found.second.std)
     return (found.name, at, *(number(value) for value in (*values, *sides)))
-
-
-def _print_rows(hit: Hit, units: Mapping[str, str]) -> None:
-    frames, rows = hit.around, []
-    assert frames is not None
-    columns, first, last = frames.table.column_names, hit.first.step, hit.last.step
-    for row in range(len(frames)):
-        step = frames.moment(row).step
-        inside = step is not None and first is not None and last is not None and first <= step <= last
-        rows.append(("*" if inside else "", *(_cell(frames, name, row) for name in columns)))
-    print_table(("", *(_named(name, units) for name in columns)), rows)
 
 
 def _named(name: str, units: Mapping[str, str]) -> str:
@@ -239,15 +236,11 @@ def _last(summary: Summary) -> list[Row]:
             continue
         of = definition.of.replace("all environments", f"all {envs} environments") if envs else definition.of
         of += "" if trend.last_at == _last_iteration(summary) else f", in iteration {trend.last_at}"
-        found.append((place, (definition.label, _valued(trend.last, definition.unit, summary.step_dt), of)))
+        value = percent(trend.last) if definition.unit == SHARE else _with_unit(trend.last, definition.unit)
+        if definition.unit == STEPS and summary.step_dt:
+            value += f" ({trend.last * summary.step_dt:.2f} s)"
+        found.append((place, (definition.label, value, of)))
     return [row for _, row in sorted(found)]
-
-
-def _valued(value: float, word: str, step_dt: float | None) -> str:
-    if word == SHARE:
-        return percent(value)
-    seconds = f" ({value * step_dt:.2f} s)" if word == STEPS and step_dt else ""
-    return f"{_with_unit(value, word)}{seconds}"
 
 
 def _scope(summary: Summary, selection: Selection) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import TextIO, cast
 
 from wheelleg_exp.errors import printable
 
@@ -60,7 +60,7 @@ class LastingStream:
             os.dup2(null, descriptor)
             os.close(null)
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
 
 

@@ -33,18 +33,7 @@ def check_agent(agent: object, groups: Collection[str]) -> list[ConfigError]:
     for path, node in walk_nodes(agent, "agent"):
         for key in _CLASS_KEYS:
             errors += _check_class_name(f"{path}.{key}", node[key]) if node.get(key) is not None else []
-    errors += _check_groups(agent.get("obs_groups"), groups)
-    errors += _check_extensions(agent)
-    for name, rule in section_at(agent, ("symmetry", "terms")).items():
-        if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
-            errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
-    for section in ("algorithm", "actor", "critic", "student", "teacher"):
-        errors += _check_constructor(f"agent.{section}", agent.get(section))
-    return errors
-
-
-def _check_groups(sets: object, groups: Collection[str]) -> list[ConfigError]:
-    empty, unread, unknown = [], [], []
+    sets, empty, unread, unknown = agent.get("obs_groups"), [], [], []
     for name, members in sets.items() if isinstance(sets, Mapping) and groups else ():
         key, listed = f"agent.obs_groups.{name}", members if isinstance(members, list) else []
         if members == []:
@@ -54,10 +43,16 @@ def _check_groups(sets: object, groups: Collection[str]) -> list[ConfigError]:
             empty.append(ConfigError("the set names a group twice", key=key, expected="each group once"))
         if name not in _SETS:
             unread.append(not_one_of("no network reads this set", name, _SETS, key=key))
-        for group in listed:
-            if group not in groups:
-                unknown.append(not_one_of(f"there is no observation group '{group}'", group, groups, key=key))
-    return empty + unread + unknown
+        strange = [group for group in listed if group not in groups]
+        unknown += [not_one_of(f"there is no observation group '{group}'", group, groups, key=key) for group in strange]
+    errors += empty + unread + unknown
+    errors += _check_extensions(agent)
+    for name, rule in section_at(agent, ("symmetry", "terms")).items():
+        if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
+            errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
+    for section in ("algorithm", "actor", "critic", "student", "teacher"):
+        errors += _check_constructor(f"agent.{section}", agent.get(section))
+    return errors
 
 
 def _check_class_name(path: str, name: object) -> list[ConfigError]:

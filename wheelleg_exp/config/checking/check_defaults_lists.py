@@ -42,8 +42,22 @@ def check_headers(composed: Composed, files: Sequence[ConfigFile]) -> list[Confi
 
 def check_term_files(files: Sequence[ConfigFile]) -> list[ConfigError]:
     """Find config files such as ``reward/alive.yaml`` that do not contain a term with the file's name (``alive``)."""
-    wrong = [file for file in files if _is_term_list(file.package) and file.name not in file.content]
-    return [_term_file_error(file) for file in {file.file: file for file in reversed(wrong)}.values()][::-1]
+    errors = {}
+    for file in files:
+        if not _is_term_list(file.package) or file.name in file.content or file.file in errors:
+            continue
+        lines, names = line_table(file.file), [str(key) for key in file.content]
+        if not names:
+            message = f"this file is empty, and does not contain the term '{file.name}'"
+        elif TARGET in file.content:
+            message = f"this file does not contain the key '{file.name}'; its settings are at the top level"
+        else:
+            message = f"this file contains the term '{names[0]}', not '{file.name}'"
+        expected = f"'{file.name}:' at the top, and the term's settings below it"
+        where = show_file(file.file, min((lines.get((name,), 1) for name in names), default=1))
+        key, nearest = f"{file.package}.{file.name}", file.name if nearest_name(file.name, names) else None
+        errors[file.file] = ConfigError(message, key=key, where=where, expected=expected, nearest=nearest)
+    return list(errors.values())
 
 
 def check_targets_of_files(config: Mapping[str, object], files: Sequence[ConfigFile]) -> Iterator[ConfigError]:
@@ -85,20 +99,6 @@ def _is_term_list(package: str) -> bool:
     return len(keys) == 4 and keys[3] == "terms" if keys[1] == "observations" else len(keys) == 2
 
 
-def _term_file_error(file: ConfigFile) -> ConfigError:
-    lines, names = line_table(file.file), [str(key) for key in file.content]
-    if not names:
-        message = f"this file is empty, and does not contain the term '{file.name}'"
-    elif TARGET in file.content:
-        message = f"this file does not contain the key '{file.name}'; its settings are at the top level"
-    else:
-        message = f"this file contains the term '{names[0]}', not '{file.name}'"
-    expected = f"'{file.name}:' at the top, and the term's settings below it"
-    where = show_file(file.file, min((lines.get((name,), 1) for name in names), default=1))
-    nearest = file.name if nearest_name(file.name, names) else None
-    return ConfigError(message, key=f"{file.package}.{file.name}", where=where, expected=expected, nearest=nearest)
-
-
 def without_strays(config: Mapping[str, object], files: Sequence[ConfigFile]) -> dict[str, object]:
     """Return a config without misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term."""
     cleaned = copy.deepcopy(dict(config))
@@ -117,8 +117,11 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
     """
     astray: set[str] = set()
     for error in errors:
-        brought = _brought(error, composed, files)
-        if brought:
+        key = error.key if isinstance(error, UnreadKey) else None
+        brought = [file for file in files if key and f"{file.package}.".startswith(f"{key}.")]
+        own = {file.file for file in brought}
+        # If other sources also set this key, the config files are not the cause.
+        if brought and all(source.file in own for source in composed.provenance.below(str(key))):
             error.where = mount_place(composed, brought[0])
             error.message = f"nothing reads the options of '{brought[0].group}' here"
             packages = {file.package for file in files if file.group == brought[0].group} - {brought[0].package}
@@ -127,15 +130,6 @@ def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Seque
             error.nearest = f"{brought[0].group}@{usual[0]}" if usual else error.nearest
             astray |= {file.name for file in brought}
     return [e for e in errors if not (isinstance(e, NotSelected) and str(e.key).rpartition(".")[2] in astray)]
-
-
-def _brought(error: ConfigError, composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigFile]:
-    """Return the config files that Hydra put at a key that no code reads; empty if other sources also set this key."""
-    if not error.key or not isinstance(error, UnreadKey):
-        return []
-    brought = [file for file in files if f"{file.package}.".startswith(f"{error.key}.")]
-    own = {file.file for file in brought}
-    return brought if all(source.file in own for source in composed.provenance.below(error.key)) else []
 
 
 def emptied_by(composed: Composed, key: str) -> str | None:

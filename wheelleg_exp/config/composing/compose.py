@@ -200,7 +200,7 @@ def override_texts(overrides: Sequence[str]) -> list[str]:
     return [overrides] if isinstance(overrides, str) else [str(text) for text in overrides]
 
 
-def _resolve(raw: DictConfig, places: Provenance) -> tuple[dict[str, Any] | None, list[ConfigError]]:
+def _resolve(raw: DictConfig, places: Provenance) -> tuple[dict[str, object] | None, list[ConfigError]]:
     """Return the resolved tree, with null in place of missing values and invalid interpolations, and their errors."""
     try:
         return _resolved(raw), []
@@ -217,40 +217,32 @@ def _resolve(raw: DictConfig, places: Provenance) -> tuple[dict[str, Any] | None
         return None, errors
 
 
-def _resolved(raw: object) -> dict[str, Any]:
+def _resolved(raw: object) -> dict[str, object]:
     resolved = OmegaConf.to_container(raw, resolve=True, throw_on_missing=True)
     return {str(key): value for key, value in resolved.items()} if isinstance(resolved, dict) else {}
 
 
 def _unresolved(raw: DictConfig, places: Provenance) -> Iterator[ConfigError]:
-    for keys, value in leaves(OmegaConf.to_container(raw, resolve=False)):
+    tree = OmegaConf.to_container(raw, resolve=False)
+    for keys, value in leaves(tree):
         path = dotted(keys)
         if value == MISSING or (isinstance(value, list) and MISSING in value):
             yield MissingValue(key=path, where=places.where(path), expected=f"{path}=<value>")
         elif "${" in str(value):
-            message = _interpolation_message(raw, path)
-            if message is not None:
-                yield _dangling(raw, message, path, places.where(path))
-
-
-def _interpolation_message(raw: DictConfig, path: str) -> str | None:
-    try:
-        value = OmegaConf.select(raw, path, throw_on_missing=True)
-        if OmegaConf.is_config(value):
-            OmegaConf.to_container(value, resolve=True, throw_on_missing=True)
-    except OmegaConfBaseException as error:
-        return _flat(error)
-    return None
-
-
-def _dangling(raw: DictConfig, message: str, path: str, where: str | None) -> ConfigError:
-    missing = re.match(r"Interpolation key '([^']+)' not found", message)
-    if missing is None:
-        return ConfigError(message, key=path, where=where)
-    paths = [dotted(keys) for keys in node_paths(OmegaConf.to_container(raw, resolve=False))]
-    error = UnknownName(message, key=path, where=where, nearest=nearest_path(missing[1], paths))
-    error.named = missing[1]
-    return error
+            try:
+                found = OmegaConf.select(raw, path, throw_on_missing=True)
+                if OmegaConf.is_config(found):
+                    OmegaConf.to_container(found, resolve=True, throw_on_missing=True)
+            except OmegaConfBaseException as problem:
+                message, where = _flat(problem), places.where(path)
+                missing = re.match(r"Interpolation key '([^']+)' not found", message)
+                if missing is None:
+                    yield ConfigError(message, key=path, where=where)
+                    continue
+                nearest = nearest_path(missing[1], list(map(dotted, node_paths(tree))))
+                error = UnknownName(message, key=path, where=where, nearest=nearest)
+                error.named = missing[1]
+                yield error
 
 
 def _flat(error: Exception) -> str:
@@ -269,7 +261,11 @@ def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dic
         keys = split_path(override.key_or_group)
         if keys[0] == "hydra":
             raise unread_setting(dotted(keys), f"override {text}", "a key of the run's parameters")
-        parent = _parent(changed, keys, text)
+        parent = changed
+        for depth, key in enumerate(keys[:-1], start=1):
+            if not isinstance(child := parent.get(key), dict):
+                raise _unknown(changed, keys[:depth], text)
+            parent = child
         adds = override.is_add() or override.is_force_add()
         if keys[-1] not in parent and not adds:
             raise _unknown(changed, keys, text)
@@ -341,16 +337,6 @@ def _parse(text: str) -> Override:
         message = "the command accepts only one value per key"
         raise ConfigError(message, key=text, where=f"override {text}", expected="one value")
     return override
-
-
-def _parent(tree: dict[str, object], keys: Sequence[str], text: str) -> dict[str, object]:
-    node = tree
-    for depth, key in enumerate(keys[:-1], start=1):
-        child = node.get(key)
-        if not isinstance(child, dict):
-            raise _unknown(tree, keys[:depth], text)
-        node = child
-    return node
 
 
 def _unknown(tree: dict[str, object], keys: Sequence[str], text: str) -> ConfigError:

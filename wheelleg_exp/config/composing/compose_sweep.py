@@ -52,12 +52,6 @@ class _RayLauncher:
     ray: _Ray = field(default_factory=_Ray)
 
 
-def _install_command(launcher: str) -> str | None:
-    """Return the ``pip install`` command for the packages of a Hydra launcher; None if the packages are installed."""
-    extra, modules = _NEEDS.get(launcher, ("", ()))
-    return None if all(map(_is_installed, modules)) else f"pip install 'wheelleg_exp[{extra}]'"
-
-
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
@@ -172,12 +166,14 @@ def digest_of(composed: Composed) -> str:
 def _refuse(override: Override, launcher: str) -> Iterator[ConfigError]:
     key, where = override.key_or_group, where_of(override)
     values = {"hydra/launcher": LAUNCHERS, "hydra/sweeper": _SWEEPERS}.get(key)
+    extra, modules = _NEEDS.get(str(override.value()), ("", ()))
     if override.is_hydra_override() and override.is_sweep_override():
         yield ConfigError("Hydra's own settings cannot be swept", key=key, where=where, expected="one value")
     elif values is not None and override.value() not in values:
         yield not_one_of(f"'{override.value()}' is not supported", override.value(), values, key=key, where=where)
-    elif key == "hydra/launcher" and (absent := _install_command(str(override.value()))) is not None:
-        yield ConfigError(f"'{override.value()}' is not installed", key=key, where=where, expected=absent)
+    elif key == "hydra/launcher" and not all(map(_is_installed, modules)):
+        expected = f"pip install 'wheelleg_exp[{extra}]'"
+        yield ConfigError(f"'{override.value()}' is not installed", key=key, where=where, expected=expected)
     elif launcher in QUEUES and key.startswith("hydra.launcher."):
         return
     elif is_unread(key) or (values is None and override.is_hydra_override() and override.is_delete()):
@@ -285,19 +281,16 @@ def _check(
         if progress is not None:
             progress(index + 1, len(jobs))
     for error, indices in found.values():
-        mistakes.append(_in_job(error, indices, jobs))
+        swept = _swept(jobs[indices[0]], jobs)
+        # A mistake in only some jobs names the overrides of its job, unless one of them is the cause.
+        if len(indices) < len(jobs) and override_of(error) not in swept:
+            others = "" if len(indices) == 1 else f" and {len(indices) - 1} more"
+            message = f"{error.message} [with {' '.join(swept)}{others}]"
+            facts = {"key": error.key, "where": error.where, "expected": error.expected, "nearest": error.nearest}
+            error = ConfigError(message, **facts)
+        mistakes.append(error)
     return checked
 
 
 def _swept(overrides: Sequence[str], jobs: Sequence[Sequence[str]]) -> tuple[str, ...]:
     return tuple(text for i, text in enumerate(overrides) if any(job[i] != text for job in jobs))
-
-
-def _in_job(error: ConfigError, indices: Sequence[int], jobs: Sequence[Sequence[str]]) -> ConfigError:
-    """For a mistake in only some sweep jobs, add the job's overrides to the error, unless an override is the cause."""
-    swept = _swept(jobs[indices[0]], jobs)
-    if len(indices) == len(jobs) or override_of(error) in swept:
-        return error
-    others = "" if len(indices) == 1 else f" and {len(indices) - 1} more"
-    message = f"{error.message} [with {' '.join(swept)}{others}]"
-    return ConfigError(message, key=error.key, where=error.where, expected=error.expected, nearest=error.nearest)

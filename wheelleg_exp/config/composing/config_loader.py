@@ -140,7 +140,11 @@ class Repository(CachingConfigRepository):
         if key not in self.cache:
             header: dict[str, str | None] = {"package": None}
             try:
-                if self._is_file(config_path):
+                source = next((s for s in self.get_sources() if s.is_config(config_path)), None)
+                if source is not None and source.scheme() == "file":
+                    if not self.files(config_path):
+                        message = "the config path is not a regular file"
+                        raise ConfigError(message, key=config_path, where=source.path)
                     self.cache[key] = self._load_file(config_path)
             except ConfigError as error:
                 header["package"] = package_header(self.files(config_path)[0]) if self.files(config_path) else None
@@ -187,14 +191,6 @@ class Repository(CachingConfigRepository):
         name = ConfigSource._normalize_file_name(config_path)
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
-
-    def _is_file(self, config_path: str) -> bool:
-        source = next((s for s in self.get_sources() if s.is_config(config_path)), None)
-        if source is None or source.scheme() != "file":
-            return False
-        if not self.files(config_path):
-            raise ConfigError("the config path is not a regular file", key=config_path, where=source.path)
-        return True
 
     def _read(self, config_path: str, file: Path) -> ConfigResult:
         """Read a config file like Hydra, but with the faster parser libyaml."""
@@ -291,7 +287,17 @@ class Loader(ConfigLoaderImpl):
         Raise ConfigError for a mistake after which nothing can be composed, such as a cycle of defaults lists.
         """
         self.repository_used = Repository(self.repository, self._note_file)
-        self._read_overrides(overrides, run_mode)
+        if problem := hydra_errors.spaced(overrides):
+            self.note(problem)
+            raise problem
+        self.overrides = []
+        for text in overrides:
+            try:
+                self.overrides.append(hydra_errors.parse_override(text))
+            except ConfigError as error:
+                self.note(error)
+        for override in self.overrides if run_mode is RunMode.RUN else ():
+            self._reject(override, [hydra_errors.sweep_problem(override)] if override.is_sweep_override() else [])
         self._search(config_name)
         for override in [o for o in self.overrides if not o.is_sweep_override()]:
             self._reject(override, hydra_errors.option_problems(self, override))
@@ -319,7 +325,9 @@ class Loader(ConfigLoaderImpl):
     def _note_file(self, problem: ConfigError, config_path: str) -> None:
         group, _, name = config_path.rpartition("/")
         files = self.repository_used.files(config_path)
-        package = (package_meant(files[0]) if files else None) or usual_header(self.repository_used, group)
+        # Use the key in the ``# @package`` line even if Hydra ignores the line.
+        meant = _MEANT.search("\n".join(_lines_of(files[0]))) if files else None
+        package = meant.group(1) if meant else usual_header(self.repository_used, group)
         places = [f".{name}"] if package is None else ["" if package == "_global_" else package]
         # If the user wrote ``aliv``, for example, do not report that ``alive`` is missing.
         self.note(problem, *places, group, *([f".{problem.nearest}"] if problem.nearest else []))
@@ -332,19 +340,6 @@ class Loader(ConfigLoaderImpl):
         for problem in problems:
             self.note(problem)
             self.overrides = [other for other in self.overrides if other is not override]
-
-    def _read_overrides(self, texts: Sequence[str], run_mode: RunMode) -> None:
-        if problem := hydra_errors.spaced(texts):
-            self.note(problem)
-            raise problem
-        self.overrides = []
-        for text in texts:
-            try:
-                self.overrides.append(hydra_errors.parse_override(text))
-            except ConfigError as error:
-                self.note(error)
-        for override in self.overrides if run_mode is RunMode.RUN else ():
-            self._reject(override, [hydra_errors.sweep_problem(override)] if override.is_sweep_override() else [])
 
     def _search(self, config_name: str) -> None:
         """Add the folders of ``hydra.searchpath`` to the search path."""
@@ -477,12 +472,6 @@ _ALWAYS = {"task": "_global_"}
 def package_header(file: Path) -> str | None:
     """Return the config key in the ``# @package`` line at the top of a file; None without this line."""
     match = _HEADER.match(next((line for line in _lines_of(file) if line.strip()), ""))
-    return match.group(1) if match else None
-
-
-def package_meant(file: Path) -> str | None:
-    """Return the config key in a file's ``# @package`` line, even if Hydra ignores the line; else None."""
-    match = _MEANT.search("\n".join(_lines_of(file)))
     return match.group(1) if match else None
 
 

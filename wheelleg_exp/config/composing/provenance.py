@@ -11,13 +11,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
-
-from hydra.core.override_parser.types import Override
+from typing import TYPE_CHECKING
 
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
+
+if TYPE_CHECKING:
+    from wheelleg_exp.config.composing.config_loader import Loader
 
 MISSING = "???"
 
@@ -224,76 +225,39 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-class ReadFiles(Protocol):
-    """The config files that were read, and the config groups in all config folders."""
-
-    loaded: dict[str, ConfigFile]
-
-    def group_exists(self, config_path: str) -> bool:
-        """Return whether a config group exists."""
-
-    def config_exists(self, config_path: str) -> bool:
-        """Return whether a config file exists."""
-
-    def get_group_options(self, group_name: str) -> list[str]:
-        """Return the names of the options of a config group."""
-
-
-class Composition(Protocol):
-    """What ``config_loader.Loader`` has read: overrides, files, and config groups."""
-
-    overrides: list[Override]
-    files: list[ConfigFile]
-
-    @property
-    def repository_used(self) -> ReadFiles:
-        """The files that were read."""
-
-    def groups(self) -> list[str]:
-        """Return the names of all config groups."""
-
-    def options(self, group: str) -> list[str]:
-        """Return the names of the options of a config group."""
-
-
-def find_mounts(loader: Composition) -> list[Mount]:
+def find_mounts(loader: Loader) -> list[Mount]:
     """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
-    return [_mount(loader, name, choices) for name, choices in _choices_by_mount(loader).items()]
+    mounts = []
+    for name, choices in _choices_by_mount(loader).items():
+        group, _, package = name.partition("@")
+        # If one task extends another, ignore the file of the extended task, because the user did not select it.
+        mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
+        if package:
+            mine = [file for file in mine if file.package == package]
+        elif mine:
+            package = mine[0].package
+        selected = tuple(file.name for file in mine)
+        mounts.append(Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices)))
+    return mounts
 
 
-def _mount(loader: Composition, name: str, choices: list[Choice]) -> Mount:
-    group, _, package = name.partition("@")
-    # If one task extends another, ignore the file of the extended task, because the user did not select it.
-    mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
-    if package:
-        mine = [file for file in mine if file.package == package]
-    elif mine:
-        package = mine[0].package
-    selected = tuple(file.name for file in mine)
-    return Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices))
-
-
-def _choices_by_mount(loader: Composition) -> dict[str, list[Choice]]:
+def _choices_by_mount(loader: Loader) -> dict[str, list[Choice]]:
     """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     # Hydra applies config files in the order of the defaults list, parents before their children.
     for file in {file.config_path: file for file in loader.files}.values():
-        for name, choice, override in _in_file(file):
-            (replacing if override else plain).setdefault(name, []).append(choice)
+        for entry in defaults_entries(file.file):
+            is_absolute = entry.key.startswith("/") or not file.group
+            name = entry.key.lstrip("/") if is_absolute else f"{file.group}/{entry.key}"
+            choice = Choice(entry.value, show_file(file.file, entry.line))
+            (replacing if entry.override else plain).setdefault(name, []).append(choice)
     found = {name: [*plain.get(name, []), *replacing.get(name, [])] for name in {**plain, **replacing}}
     for override in loader.overrides:
         name = override.get_key_element().lstrip("+~")
         if name in found or loader.repository_used.group_exists(override.key_or_group):
             found.setdefault(name, []).append(Choice(override.value(), f"override {override.input_line}"))
     return {name: choices for name, choices in found.items() if not name.startswith("hydra/")}
-
-
-def _in_file(file: ConfigFile) -> Iterator[tuple[str, Choice, bool]]:
-    for entry in defaults_entries(file.file):
-        is_absolute = entry.key.startswith("/") or not file.group
-        name = entry.key.lstrip("/") if is_absolute else f"{file.group}/{entry.key}"
-        yield name, Choice(entry.value, show_file(file.file, entry.line)), entry.override
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -57,14 +58,12 @@ def library() -> list[LibraryTerm]:
 
 def _terms(section: str, module: ModuleType) -> Iterator[LibraryTerm]:
     for name, found in vars(module).items():
-        if (
-            is_own(module, found)
-            and not name.startswith("_")
-            and name == getattr(found, "__name__", None)
-            and is_term(section, found)
-        ):
-            target = f"{module.__name__}.{name}"
-            yield LibraryTerm(section, target, signature_of(found), headline(found), limits_of(found))
+        is_public = not name.startswith("_") and name == getattr(found, "__name__", None)
+        if is_own(module, found) and is_public and is_term(section, found):
+            hints = {key: hint for key, hint in type_hints(found).items() if key in signature_parameters(found)}
+            bounded = {k: h for k, h in hints.items() if any(not isinstance(c, NotEmpty) for c in constraints_in(h))}
+            limits = {key: describe(hint) for key, hint in bounded.items()}
+            yield LibraryTerm(section, f"{module.__name__}.{name}", signature_of(found), headline(found), limits)
 
 
 def is_term(section: str, found: object) -> bool:
@@ -82,16 +81,6 @@ def is_term(section: str, found: object) -> bool:
     return section != "events" or type_hints(found).get("return") is type(None)
 
 
-def limits_of(target: Callable[..., object]) -> dict[str, str]:
-    """Return the types and bounds of the bounded parameters of a class or function as text."""
-    hints = {name: hint for name, hint in type_hints(target).items() if name in signature_parameters(target)}
-    return {
-        name: describe(hint)
-        for name, hint in hints.items()
-        if any(not isinstance(constraint, NotEmpty) for constraint in constraints_in(hint))
-    }
-
-
 def signature_of(target: Callable[..., object]) -> str:
     """Return the parameters of a class or function that a config can set, as ``name, name=default``."""
     parts = []
@@ -101,9 +90,6 @@ def signature_of(target: Callable[..., object]) -> str:
         shown = repr(default) if plain else "..."
         parts.append(name if default is parameter.empty else f"{name}={shown}")
     return ", ".join(parts)
-
-
-TASK_GROUP = "task"
 
 
 @dataclass(frozen=True)
@@ -119,11 +105,6 @@ class Entry:
     help: str
     file: Path
     target: str | None = None
-
-
-def tasks(config_dirs: Sequence[Path] = ()) -> list[Entry]:
-    """Return the tasks, each described by the comment at the top of its config file."""
-    return options(TASK_GROUP, config_dirs)
 
 
 def groups(config_dirs: Sequence[Path] = ()) -> list[str]:
@@ -152,7 +133,13 @@ def terms(group: str | None = None, config_dirs: Sequence[Path] = ()) -> list[En
     # Omit config groups such as ``sensor``, whose files have a ``_target_`` but do not define manager terms.
     term_groups = {section.removesuffix("s") for section in RESERVED}
     found = [entry for entry in entries if entry.target is not None]
-    return [_with_docstring(e) for e in found if group is not None or e.group.split("/")[0] in term_groups]
+    described = []
+    for entry in (e for e in found if group is not None or e.group.split("/")[0] in term_groups):
+        text = ""
+        with suppress(ConfigError, ImportError):
+            text = headline(resolve_target(str(entry.target), f"{entry.group}.{entry.name}"))
+        described.append(replace(entry, help=text or entry.help))
+    return described
 
 
 def _require_group(group: str, names: Sequence[str]) -> None:
@@ -200,11 +187,3 @@ def leading_comment(text: str) -> str:
         if comment and not comment.startswith("@"):
             return comment
     return ""
-
-
-def _with_docstring(entry: Entry) -> Entry:
-    try:
-        target = resolve_target(str(entry.target), f"{entry.group}.{entry.name}")
-    except (ConfigError, ImportError):
-        return entry
-    return replace(entry, help=headline(target) or entry.help)

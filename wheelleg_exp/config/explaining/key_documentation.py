@@ -118,8 +118,16 @@ def comment_at(file: Path, line: int) -> str:
     lines = _lines(file, file.stat().st_mtime_ns)
     if not 1 <= line <= len(lines):
         return ""
-    own = _split(lines[line - 1])[1]
-    return own or _above(file, lines, line - 1)
+    if own := _split(lines[line - 1])[1]:
+        return own
+    indent, top, found = _indent(lines[line - 1]), line - 1, list[str]()
+    while top > 0 and _is_comment(lines[top - 1]) and _indent(lines[top - 1]) == indent:
+        top -= 1
+        found.insert(0, _split(lines[top])[1])
+    root = yaml_node(file)
+    if found and top == 0 and not (root is not None and len(root.value) == 1):
+        return ""
+    return " ".join(text for text in found if text and not text.startswith("@"))
 
 
 def file_comment(file: Path) -> str:
@@ -150,19 +158,6 @@ def _split(text: str) -> tuple[str, str]:
         elif letter == "#" and (index == 0 or text[index - 1].isspace()):
             return text[:index], text[index + 1 :].strip()
     return text, ""
-
-
-def _above(file: Path, lines: list[str], index: int) -> str:
-    indent = _indent(lines[index])
-    found: list[str] = []
-    top = index
-    while top > 0 and _is_comment(lines[top - 1]) and _indent(lines[top - 1]) == indent:
-        top -= 1
-        found.insert(0, _split(lines[top])[1])
-    root = yaml_node(file)
-    if found and top == 0 and not (root is not None and len(root.value) == 1):
-        return ""
-    return " ".join(text for text in found if text and not text.startswith("@"))
 
 
 def _is_comment(text: str) -> bool:

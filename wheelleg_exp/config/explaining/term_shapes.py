@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from wheelleg_exp.config.composing.compose import Composed
-
-if TYPE_CHECKING:
-    from wheelleg_exp.env import ManagerBasedRLEnv
-    from wheelleg_exp.managers.observation_term import ObservationTerm
 
 
 @dataclass(frozen=True)
@@ -60,7 +54,16 @@ def shapes(composed: Composed) -> Shapes:
     config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}
     with composed.placing():
         env = build_env(config, composed.asset_roots)
-    groups = {group: _group(env, group) for group in env.observation_manager.active_terms}
+    groups, observations = {}, env.observation_manager
+    for group in observations.active_terms:
+        dims, terms = observations.group_obs_dim[group], []
+        parts = observations.term_parts(group) if isinstance(dims, tuple) else {}
+        for name, term in observations.terms(group).items():
+            places = parts.get(name, ())
+            begin, end = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
+            shape = TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), begin, end)
+            terms.append(shape)
+        groups[group] = GroupShape(tuple(terms), dims if isinstance(dims, tuple) else None)
     manager = env.action_manager
     made, start = [], 0
     for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
@@ -69,16 +72,3 @@ def shapes(composed: Composed) -> Shapes:
         made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
         start += width
     return Shapes(tuple(env.scene.robot.joint_names), groups, GroupShape(tuple(made), (manager.total_action_dim,)))
-
-
-def _group(env: ManagerBasedRLEnv, group: str) -> GroupShape:
-    manager = env.observation_manager
-    dims = manager.group_obs_dim[group]
-    parts = manager.term_parts(group) if isinstance(dims, tuple) else {}
-    terms = tuple(_observation(name, term, parts.get(name, ())) for name, term in manager.terms(group).items())
-    return GroupShape(terms, dims if isinstance(dims, tuple) else None)
-
-
-def _observation(name: str, term: ObservationTerm, places: Sequence[slice]) -> TermShape:
-    start, stop = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
-    return TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), start, stop)
