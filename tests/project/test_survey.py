@@ -53,7 +53,7 @@ def kneed(tmp_path_factory):
 def test_wheels_are_the_unlimited_hinges_and_legs_are_the_remaining_hinges(two):
     assert (two.legs, two.wheels) == (["l_hip", "r_hip"], ["l_axle", "r_axle"])
     assert (two.wheel_bodies, two.raised_bodies) == (["l_wheel", "r_wheel"], ["body", "l_leg", "r_leg"])
-    assert two.radius == pytest.approx(RADIUS)
+    assert two.facts.wheel_radius == pytest.approx(RADIUS)
 
 
 def test_a_hub_inside_its_tyre_does_not_touch_the_ground(tmp_path):

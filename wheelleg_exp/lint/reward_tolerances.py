@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from wheelleg_exp.lint.rule import Case, TermView, largest
@@ -21,7 +21,8 @@ TRACKING = {
 UNITS = {"lin": "m/s", "ang": "rad/s"}
 HEIGHTS = ("rewards.base_height_l2", "rewards.base_height_over_ground_l2")
 FAILURES = ("rewards.is_terminated", "rewards.is_terminated_term")
-CONTACTS = ("rewards.no_contact_count", "rewards.undesired_contacts", "rewards.no_desired_contact")
+# These reward terms have the form exp(-error² / std²).
+_BELLS = ("rewards.base_height_exp", "rewards.flat_orientation_exp")
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Contribution:
     @property
     def best(self) -> float:
         """The unweighted output of the reward term for a robot without tracking or posture errors."""
-        return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_KERNELS) else 0.0)
+        return (self.value or 0.0) + (self.cost if self.term.kind in (*TRACKING, *_BELLS) else 0.0)
 
     def per_step(self, step_dt: float) -> float:
         """Return the reward of one control step: the product of weight, value, and control time step."""
@@ -77,15 +78,11 @@ def _contribution(case: Case, term: TermView) -> Contribution:
         value = _bell(error, term)
         text = f"{error:.3g} {UNITS[TRACKING[term.kind]]}, a tenth of the command"
         return Contribution(term, weight, text, value, 1.0 - value)
-    if term.kind in _KERNELS:
-        text, square = _KERNELS[term.kind](case, term)
-        value = _bell(math.sqrt(square), term)
+    text, size = _acceptable(case, term)
+    if size is not None and term.kind in _BELLS:
+        value = _bell(math.sqrt(size), term)
         return Contribution(term, weight, text, value, 1.0 - value)
-    known = _SQUARES.get(term.kind)
-    if known is None:
-        return Contribution(term, weight, "", None)
-    text, value = known(case, term)
-    return Contribution(term, weight, text, value, value)
+    return Contribution(term, weight, text, size, size or 0.0)
 
 
 def _bell(error: float, term: TermView) -> float:
@@ -100,74 +97,36 @@ def command_size(case: Case, term: TermView) -> float:
     return max((largest(ranges.get(axis)) for axis in axes), default=0.0) if isinstance(ranges, Mapping) else 0.0
 
 
-def _body_height(case: Case) -> float:
-    """Return the robot's standing height in m, but at least 0.01 m, because an arm's base can be on the ground."""
-    return max(case.facts.standing_height, 0.01)
-
-
-def _height(_case: Case, term: TermView) -> tuple[str, float]:
-    error = SHARE * float(term.node["target_height"])
-    return f"{1e3 * error:.3g} mm, a tenth of the height", error**2
-
-
-def _vertical(case: Case, _term: TermView) -> tuple[str, float]:
-    error = SHARE * math.sqrt(case.facts.gravity * _body_height(case))
-    return f"{error:.2g} m/s, a tenth of sqrt(g h)", error**2
-
-
-def _rocking(case: Case, _term: TermView) -> tuple[str, float]:
-    error = SHARE * math.sqrt(case.facts.gravity / _body_height(case))
-    return f"{error:.2g} rad/s, a tenth of sqrt(g/h)", error**2
-
-
-def _tilt(_case: Case, _term: TermView) -> tuple[str, float]:
-    return f"{ANGLE} rad", math.sin(ANGLE) ** 2
-
-
-def _deviation(case: Case, term: TermView) -> tuple[str, float]:
-    count = len(case.joints(term.node))
-    return f"{ANGLE} rad on {count} joints", ANGLE * count
-
-
-def _symmetry(case: Case, term: TermView) -> tuple[str, float]:
-    count = len(case.joints(term.node, "left_cfg"))
-    return f"{ANGLE} rad on {count} pairs", ANGLE * count
-
-
-def _torques(case: Case, term: TermView) -> tuple[str, float]:
-    efforts = [joint.drive.effort for joint in case.joints(term.node).values() if joint.drive is not None]
-    return "a tenth of the effort limits", sum((SHARE * effort) ** 2 for effort in efforts)
-
-
-def _action_rate(case: Case, _term: TermView) -> tuple[str, float]:
-    width = sum(len(case.joints(action.node)) for action in case.terms("actions"))
-    return f"{ACTION} of a unit on {width} actions", width * ACTION**2
-
-
-def _travel(case: Case, term: TermView) -> tuple[str, float]:
-    most = case.env.commands.get(str(term.node["command_name"]), {}).get("max_travel_error", 0.0)
-    return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
-
-
-# For reward terms of the form exp(-error² / std²), ``_KERNELS`` contains functions that return an acceptable error².
-_KERNELS: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
-    "rewards.base_height_exp": _height,
-    "rewards.flat_orientation_exp": _tilt,
-}
-
-_SQUARES: Mapping[str, Callable[[Case, TermView], tuple[str, float]]] = {
-    **dict.fromkeys(HEIGHTS, _height),
-    "rewards.lin_vel_z_l2": _vertical,
-    "rewards.ang_vel_xy_l2": _rocking,
-    "rewards.pitch_orientation_l2": _tilt,
-    "rewards.flat_orientation_l2": _tilt,
-    "rewards.joint_deviation_l1": _deviation,
-    "rewards.stand_still_joint_deviation_l1": _deviation,
-    "rewards.joint_symmetry_l1": _symmetry,
-    "rewards.joint_torques_l2": _torques,
-    "rewards.travel_error_l2": _travel,
-    "rewards.action_rate_l2": _action_rate,
-    "rewards.action_l2": _action_rate,
-    "rewards.action_acceleration_l2": _action_rate,
-    **dict.fromkeys(CONTACTS, lambda _case, _term: ("one body", 1.0)),
-}
+def _acceptable(case: Case, term: TermView) -> tuple[str, float | None]:
+    """Return an acceptable error, and its square or the sum that the reward term penalises; None if unknown."""
+    node, facts, name = term.node, case.facts, term.kind.removeprefix("rewards.")
+    height = max(facts.standing_height, 0.01)  # m; an arm's base can be on the ground.
+    if name in ("base_height_l2", "base_height_over_ground_l2", "base_height_exp"):
+        error = SHARE * float(node["target_height"])
+        return f"{1e3 * error:.3g} mm, a tenth of the height", error**2
+    if name == "lin_vel_z_l2":
+        error = SHARE * math.sqrt(facts.gravity * height)
+        return f"{error:.2g} m/s, a tenth of sqrt(g h)", error**2
+    if name == "ang_vel_xy_l2":
+        error = SHARE * math.sqrt(facts.gravity / height)
+        return f"{error:.2g} rad/s, a tenth of sqrt(g/h)", error**2
+    if name in ("pitch_orientation_l2", "flat_orientation_l2", "flat_orientation_exp"):
+        return f"{ANGLE} rad", math.sin(ANGLE) ** 2
+    if name in ("joint_deviation_l1", "stand_still_joint_deviation_l1"):
+        count = len(case.joints(node))
+        return f"{ANGLE} rad on {count} joints", ANGLE * count
+    if name == "joint_symmetry_l1":
+        count = len(case.joints(node, "left_cfg"))
+        return f"{ANGLE} rad on {count} pairs", ANGLE * count
+    if name == "joint_torques_l2":
+        efforts = [joint.drive.effort for joint in case.joints(node).values() if joint.drive is not None]
+        return "a tenth of the effort limits", sum((SHARE * effort) ** 2 for effort in efforts)
+    if name == "travel_error_l2":
+        most = case.env.commands.get(str(node["command_name"]), {}).get("max_travel_error", 0.0)
+        return f"{1e3 * SHARE * most:.3g} mm, a tenth of the largest sum", (SHARE * most) ** 2
+    if name in ("action_rate_l2", "action_l2", "action_acceleration_l2"):
+        width = sum(len(case.joints(action.node)) for action in case.terms("actions"))
+        return f"{ACTION} of a unit on {width} actions", width * ACTION**2
+    if name in ("no_contact_count", "undesired_contacts", "no_desired_contact"):
+        return "one body", 1.0
+    return "", None

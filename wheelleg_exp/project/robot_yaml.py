@@ -123,7 +123,7 @@ def _load(robot: Survey, name: str) -> _Load:
     joint, share = robot.facts.joints[name], 1 / max(1, len(robot.wheels))
     weight = robot.facts.weight * share
     on_chain = any(name in leg.joints for leg in robot.anatomy.legs) or not robot.wheels
-    least = _LEVER * max(0.0, robot.size - robot.radius) * weight if on_chain else 0.0
+    least = _LEVER * max(0.0, robot.size - robot.facts.wheel_radius) * weight if on_chain else 0.0
     hold = max(abs(joint.hold), least)
     lever = hold / weight if weight > 0 else 0.0
     carried = robot.facts.mass * share * lever**2
@@ -137,13 +137,13 @@ def wheel_gains(robot: Survey) -> Gains:
     torque at which the wheel slips, and the default velocity limit is 2 m/s on the ground.
     """
     facts, count = robot.facts, max(1, len(robot.wheels))
-    share = facts.mass / count * robot.radius**2
+    share = facts.mass / count * robot.facts.wheel_radius**2
 
     dofs, refused = robot.dofs, list[str]()
     started = {name: (facts.joints[name].effective + share) / _WHEEL_TIME for name in robot.wheels}
     damping, own = _filled(robot, robot.wheels, lambda n: _damping(dofs[n], of_speed=True), started.__getitem__)
     # ``slips`` is the torque at which a wheel slips, N·m.
-    slips = max(facts.friction, 0.5) * facts.weight / count * robot.radius
+    slips = max(facts.friction, 0.5) * facts.weight / count * robot.facts.wheel_radius
 
     def file_effort(name: str) -> float | None:
         effort = _effort(dofs[name])
@@ -153,7 +153,9 @@ def wheel_gains(robot: Survey) -> Gains:
         return effort
 
     effort, limited = _filled(robot, robot.wheels, file_effort, lambda _: _TRACTION * slips)
-    velocity, fast = _filled(robot, robot.wheels, lambda n: _velocity(dofs[n]), lambda _: _GROUND_SPEED / robot.radius)
+    velocity, fast = _filled(
+        robot, robot.wheels, lambda n: _velocity(dofs[n]), lambda _: _GROUND_SPEED / robot.facts.wheel_radius
+    )
     found = {"damping": own, "effort": limited, "velocity": fast}
     none = dict.fromkeys(robot.wheels, 0.0)
     return Gains(none, damping, effort, velocity, [name for name, complete in found.items() if complete], refused)
@@ -202,7 +204,7 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
     facts = robot.facts
     rotation = ", ".join(number(part, 6) for part in robot.rotation)
     moved = {joint: value for joint, value in robot.positions.items() if value != 0.0}
-    size = f" of {1e3 * robot.radius:.3g} mm radius" if robot.wheels else ""
+    size = f" of {1e3 * robot.facts.wheel_radius:.3g} mm radius" if robot.wheels else ""
     held = f"; {_counted(len(robot.held), 'other joint')} held still" if robot.held else ""
     as_in_file = ", as the file has it" if robot.standing is None or robot.standing.frame is None else ""
     stance = robot.standing.stance if robot.standing is not None else None
@@ -250,7 +252,7 @@ joint_order: null                  # breadth first, as in PhysX; or a list of al
 soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
 standing_height: {number(facts.standing_height)}    # m, of the root link in the default pose
-wheel_radius: {number(robot.radius) if robot.wheels else "null"}    # m
+wheel_radius: {number(robot.facts.wheel_radius) if robot.wheels else "null"}    # m
 joint_sets:    # joints by role, to which terms refer; actions in this order
 {_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
 {_named_lists(bodies)}{_frame(robot)}{_self_collisions(robot)}actuators:

@@ -105,7 +105,7 @@ class Survey:
     of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains the
     joint positions of the default pose, rad or m. ``standing`` is the computed standing pose, or None if the caller of
     ``survey`` gave joint positions. ``overlaps`` maps pairs of link names to the depth, m, by which the two links
-    overlap. ``radius`` is the radius of the wheels, m. ``size`` is the height of the root link or of the centre of
+    overlap. ``size`` is the height of the root link or of the centre of
     mass, m, whichever is larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest
     link that is fixed to the root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground.
     ``raised_bodies`` have colliders but do not touch the ground. ``notes`` contains warnings about the robot for the
@@ -123,7 +123,6 @@ class Survey:
     overlaps: dict[tuple[str, str], float]
     facts: RobotFacts
     anatomy: Anatomy
-    radius: float
     size: float
     up: tuple[float, float, float]
     trunk: str
@@ -254,7 +253,6 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, stand
         overlaps={(model.body(a).name, model.body(b).name): depth for (a, b), depth in depths},
         facts=facts,
         anatomy=anatomy,
-        radius=facts.wheel_radius,
         size=max(facts.standing_height, mass_height),
         up=(up_x, up_y, up_z),
         trunk=model.body(trunk).name,

@@ -189,7 +189,7 @@ def _rewards(robot: Survey) -> str:
 
 def _tolerance(robot: Survey) -> float:
     """Return a drift speed that a standing robot should avoid, m/s: the speed at a wheel action of 1."""
-    return min(_STD, _wheel_scale(robot) * robot.radius) if robot.wheels else _STD
+    return min(_STD, _wheel_scale(robot) * robot.facts.wheel_radius) if robot.wheels else _STD
 
 
 def _wheel_scale(robot: Survey) -> float:

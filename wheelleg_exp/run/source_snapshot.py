@@ -14,7 +14,7 @@ import os
 import stat
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
@@ -34,14 +34,6 @@ _INSTALL_FOLDERS = ("site-packages", "dist-packages")
 _GITLINK, _NO_MODE = "160000", "000000"
 
 
-@dataclass
-class _WorkingTree:
-    """A git repository, and the paths of its source folders and files relative to the repository's top folder."""
-
-    repository: Repository
-    folders: list[str]
-
-
 def snapshot_source(
     roots: Sequence[Path], folder: Path, *, runs_root: Path | None = None, max_patch_mb: float = 50.0
 ) -> list[SourceRecord]:
@@ -54,11 +46,8 @@ def snapshot_source(
     status and a note about the failure.
     """
     records: list[SourceRecord] = []
-    for place in _group(roots):
-        if isinstance(place, SourceRecord):
-            records.append(place)
-            continue
-        record, patch = _snapshot(place, runs_root, int(max_patch_mb * 1e6))
+    for repository, record in _group(roots):
+        patch = None if repository is None else _snapshot(repository, record, runs_root, int(max_patch_mb * 1e6))
         if patch is not None:
             record.patch = PATCH_NAME if not records else f"source_{len(records) + 1}.patch"
             write_bytes(folder / record.patch, patch)
@@ -89,40 +78,39 @@ def content_digest(root: Path) -> str:
     return digest.hexdigest()
 
 
-def _group(roots: Iterable[Path]) -> list[_WorkingTree | SourceRecord]:
-    """Group source folders by git repository; a folder outside git becomes a record that says why it is not stored."""
-    groups: dict[Path, _WorkingTree | SourceRecord] = {}
+def _group(roots: Iterable[Path]) -> list[tuple[Repository | None, SourceRecord]]:
+    """Group source folders by git repository; a folder outside git has a record that says why it is not stored."""
+    groups: dict[Path, tuple[Repository | None, SourceRecord]] = {}
     for root in dict.fromkeys(Path(root).resolve() for root in roots):
-        place = _place(root)
-        if isinstance(place, SourceRecord):
-            groups[root] = place
-            continue
-        known = groups.setdefault(place.repository.top, place)
-        if isinstance(known, _WorkingTree) and known is not place:
-            known.folders += place.folders
+        repository, record = _place(root)
+        known = groups.setdefault(repository.top if repository else root, (repository, record))[1]
+        if known is not record:
+            known.folders += record.folders
     return list(groups.values())
 
 
-def _place(root: Path) -> _WorkingTree | SourceRecord:
-    """Return the git repository of ``root``, or a record that says why the files of ``root`` cannot be stored."""
+def _place(root: Path) -> tuple[Repository | None, SourceRecord]:
+    """Return the git repository of ``root``, or None and the reason why the files of ``root`` cannot be stored."""
     folder = root if root.is_dir() else root.parent
     try:
         found = git.run_git(folder, "rev-parse", "--show-toplevel")
         repository = Repository(Path(os.fsdecode(found).removesuffix("\n")))
     except GitError as error:
         if is_installed(root):
-            return _installed(root)
+            return None, _installed(root)
         if isinstance(error, git.GitMissing):
-            return _record("no_git", root, "git is not installed, so the source is not captured")
-        return _not_captured(root, str(error))
+            return None, _record("no_git", root, "git is not installed, so the source is not captured")
+        return None, _not_captured(root, str(error))
     top = repository.top.resolve()
     if not root.is_relative_to(top):
-        return _not_captured(root, f"the repository of '{root}' has its working tree in '{repository.top}'")
+        return None, _not_captured(root, f"the repository of '{root}' has its working tree in '{repository.top}'")
     if is_installed(root, top):
-        return _installed(root)
+        return None, _installed(root)
     if root != top and repository.maybe("check-ignore", "--", str(root)) is not None:
-        return _not_captured(root, f"'{root}' is ignored by the repository around it")
-    return _WorkingTree(repository, [root.relative_to(top).as_posix()])
+        return None, _not_captured(root, f"'{root}' is ignored by the repository around it")
+    record = _record("ok", repository.top, None)
+    record.folders = [root.relative_to(top).as_posix()]
+    return repository, record
 
 
 def _not_captured(root: Path, reason: str) -> SourceRecord:
@@ -147,11 +135,8 @@ def _installed(root: Path) -> SourceRecord:
     return SourceRecord("installed", note=note, root=str(root), distribution=name, content_sha256=digest)
 
 
-def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[SourceRecord, bytes | None]:
-    """Return a repository's entry for ``git.json``, and its patch, or None if the patch is too large or git fails."""
-    repository = tree.repository
-    record = _record("ok", repository.top, None)
-    record.folders = tree.folders
+def _snapshot(repository: Repository, record: SourceRecord, runs_root: Path | None, cap: int) -> bytes | None:
+    """Complete a repository's ``record``; return its patch, or None if the patch is too large or git fails."""
     try:
         commit = repository.maybe("rev-parse", "--verify", "--quiet", "HEAD")
         record.status = "ok" if commit else "no_commits"
@@ -166,10 +151,10 @@ def _snapshot(tree: _WorkingTree, runs_root: Path | None, cap: int) -> tuple[Sou
             url = git.without_credentials(repository.maybe("config", f"remote.{chosen}.url") or "")
             record.remote = {"name": chosen, "url": url}
         record.shallow = repository.text("rev-parse", "--is-shallow-repository") == "true"
-        return record, _capture(repository, record, base, runs_root, cap)
+        return _capture(repository, record, base, runs_root, cap)
     except GitError as error:
         record.status, record.note = "failed", f"the files are not captured: {error}"
-        return record, None
+        return None
 
 
 def _capture(repository: Repository, record: SourceRecord, base: str, runs_root: Path | None, cap: int) -> bytes | None:
