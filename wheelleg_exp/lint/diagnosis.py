@@ -216,7 +216,6 @@ class Diagnosis:
         return f"first: {finding.message}; {finding.hint}"
 
     def document(self) -> dict[str, object]:
-        """Return the diagnosis for scripts."""
         robot = self.case.robot
         return {
             "subject": self.subject,

@@ -65,7 +65,6 @@ class PhysicsReport:
         return rows
 
     def document(self) -> dict[str, object]:
-        """Return the findings of ``check --physics`` as a mapping for JSON."""
         rewards = [
             {
                 "term": item.term.path,

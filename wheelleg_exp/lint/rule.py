@@ -53,12 +53,10 @@ class Case:
 
     @property
     def env(self) -> EnvOptions:
-        """The ``env`` section of the config."""
         return self.config.env
 
     @property
     def agent(self) -> Learning:
-        """The ``agent`` section of the config."""
         return self.config.agent
 
     @property

@@ -55,7 +55,6 @@ class Repository:
         return run_git(self.top, *arguments, stdin=stdin, environ=self.environ, settings=self.settings)
 
     def text(self, *arguments: str) -> str:
-        """Run one git command and return the command's output as text without the last newline."""
         return os.fsdecode(self.run(*arguments)).removesuffix("\n")
 
     def maybe(self, *arguments: str) -> str | None:

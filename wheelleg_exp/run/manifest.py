@@ -178,7 +178,6 @@ class Manifest:
 
     @property
     def directory(self) -> Path:
-        """The run directory."""
         return self.path.parent
 
     @property
@@ -188,12 +187,10 @@ class Manifest:
 
     @property
     def started(self) -> datetime:
-        """The time at which the training run started."""
         return parse_utc(self.facts.started)
 
     @property
     def results(self) -> Mapping[str, object]:
-        """The results of the run."""
         return self.facts.results
 
     def matches_digest(self) -> bool | None:

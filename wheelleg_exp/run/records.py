@@ -111,7 +111,6 @@ class ProcessFacts:
 
     @property
     def processes(self) -> list[ProcessFacts]:
-        """The facts about all processes of the run, the first process first."""
         return [*(entry.before for entry in self.resumes if entry.before is not None), self]
 
 
@@ -215,5 +214,4 @@ class RunRecord(ProcessRecord):
 
     @property
     def has_source(self) -> bool:
-        """True if the run has recorded the state of its source."""
         return self.source is not None and self.source.status != ""

@@ -132,12 +132,10 @@ class RunDirectory(os.PathLike[str]):
 
     @property
     def id(self) -> str:
-        """The folder's name."""
         return self.path.name
 
     @property
     def root(self) -> Path:
-        """The root folder of all runs, which contains this run directory."""
         above = self.path.parent.parent
         return above.parent if above.name in (AGENTS, REPLAYS) else above
 
@@ -155,7 +153,6 @@ class RunDirectory(os.PathLike[str]):
     environment = _PathInside("environment.txt")  # The file that lists the installed Python packages.
 
     def manifest(self) -> Manifest:
-        """Read the manifest of the run; raise RunDirectoryError if the manifest is missing or damaged."""
         return Manifest.load(self.path)
 
     def inside(self, name: str) -> Path:
@@ -165,13 +162,11 @@ class RunDirectory(os.PathLike[str]):
         return self.path / name
 
     def checkpoints(self) -> list[Path]:
-        """Return the paths of the run's checkpoints, sorted by iteration."""
         with for_people(self.path, "read"):
             found = [p for p in self.path.iterdir() if CHECKPOINT.fullmatch(p.name) and p.is_file()]
         return sorted(found, key=checkpoint_iteration)
 
     def latest_checkpoint(self) -> Path:
-        """Return the path of the run's newest checkpoint; raise RunDirectoryError if the run has no checkpoint."""
         found = self.checkpoints()
         if not found:
             raise RunDirectoryError(f"the run '{self.id}' has no checkpoint", expected="a file model_<iteration>.pt")

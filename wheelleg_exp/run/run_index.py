@@ -104,8 +104,6 @@ class _PipelineData(TypedDict):
 
 @dataclass
 class _RunIndex:
-    """One index file: its absolute folder, and its JSON document."""
-
     folder: Path
     data: dict[str, Any]
 
@@ -149,7 +147,6 @@ class _RunIndex:
 
     @property
     def path(self) -> Path:
-        """The index file."""
         return self.folder / self.FILE
 
     def run_of(self, entry: JobEntry | PhaseEntry) -> Path | None:
@@ -157,11 +154,9 @@ class _RunIndex:
         return None if entry["run"] is None else Path(os.path.normpath(self.folder / entry["run"]))
 
     def relative(self, path: Path) -> str:
-        """Return a run directory's path relative to the folder of the index file."""
         return Path(os.path.relpath(path, self.folder)).as_posix()
 
     def write(self) -> None:
-        """Replace the index file."""
         write_json(self.path, self.data)
 
 
@@ -208,24 +203,19 @@ class SweepIndex(_RunIndex):
 
     @property
     def jobs(self) -> list[JobEntry]:
-        """The jobs in order."""
         found: list[JobEntry] = self.data["jobs"]
         return found
 
     def write_multirun(self, text: str) -> None:
-        """Write the config that Hydra composed for the whole sweep."""
         write_text(self.folder / MULTIRUN_NAME, text)
 
     def job_started(self, number: int) -> None:
-        """Record that a job of the sweep has started."""
         self._update_job(number, status="running", started=utc_text(utc_now()))
 
     def job_has_run(self, number: int, run: Path) -> None:
-        """Record the run directory of a sweep job in the sweep's index."""
         self._update_job(number, run=self.relative(run))
 
     def job_ended(self, number: int, status: JobStatus, results: Mapping[str, object], error: object = None) -> None:
-        """Record how a job ended."""
         self._update_job(number, status=status, ended=utc_text(utc_now()), results=dict(results), error=error)
 
     def finish(self, status: SweepStatus) -> None:
@@ -314,12 +304,10 @@ class PipelineIndex(_RunIndex):
 
     @property
     def root(self) -> Path:
-        """The folder of all runs."""
         return Path(os.path.normpath(self.folder / self.data["root"]))
 
     @property
     def phases(self) -> list[PhaseEntry]:
-        """The phases in order."""
         found: list[PhaseEntry] = self.data["phases"]
         return found
 
@@ -332,7 +320,6 @@ class PipelineIndex(_RunIndex):
         return max(phase["trained"], last)
 
     def update(self, phase: PhaseEntry, **changes: object) -> None:
-        """Write the changed values of one pipeline phase into the pipeline's index file."""
         entry = next(other for other in self.data["phases"] if other["name"] == phase["name"])
         entry.update(json_plain(changes))
         self.write()
@@ -349,7 +336,6 @@ class PipelineIndex(_RunIndex):
         self.write()
 
     def finish(self, status: PipelineStatus, why: str | None) -> None:
-        """Record how the pipeline ended."""
         self.data |= {"status": status, "why": why, "ended": utc_text(utc_now())}
         self.write()
 

@@ -47,7 +47,6 @@ class LiveLines:
         )
 
     def say(self, text: str) -> None:
-        """Print one line of text above the progress bars."""
         self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
@@ -102,7 +101,6 @@ class ConsoleDisplay(LiveLines, Display):
             self.note(f"{what} {done}/{total}")
 
     def test(self, name: str, done: int, total: int) -> None:
-        """Show the progress of one test of a policy evaluation."""
         self._advance(name, done, total, "")
 
     def _advance(self, what: str, done: int, total: int, figures: str) -> None:
@@ -142,7 +140,6 @@ class ConsoleSweepDisplay(LiveLines):
         self._all: TaskID | None = None
 
     def checking(self, done: int, total: int) -> None:
-        """Show for how many jobs of the sweep the config has been checked."""
         if not self._live:
             return
         if self._all is None:
@@ -155,7 +152,6 @@ class ConsoleSweepDisplay(LiveLines):
             self._progress.reset(self._all, description="jobs that have ended")
 
     def started(self, job: JobEntry) -> None:
-        """Show that a job of the sweep has started."""
         number = job["number"]
         self._last_plain[number] = time.monotonic()
         if self._live:
@@ -164,7 +160,6 @@ class ConsoleSweepDisplay(LiveLines):
             self.say(f"{_title(job)} started")
 
     def iteration(self, job: JobEntry, done: int, total: int, scalars: Mapping[str, float]) -> None:
-        """Show that a job of the sweep has finished ``done`` of ``total`` training iterations."""
         number, now = job["number"], time.monotonic()
         if self._live:
             self._progress.update(self._tasks[number], completed=done, total=total, figures=figures(scalars))
@@ -173,7 +168,6 @@ class ConsoleSweepDisplay(LiveLines):
             self.say(f"job {number}: training {done}/{total}  {figures(scalars)}".rstrip())
 
     def ended(self, job: JobEntry) -> None:
-        """Show how a job ended."""
         if self._live:
             task = self._tasks.pop(job["number"], None)
             if task is not None:  # A sweep job that was never started has no progress bar.

@@ -460,7 +460,6 @@ class Loader(ConfigLoaderImpl):
         return sorted(found)
 
     def options(self, group: str) -> list[str]:
-        """Return the names of the options of a config group."""
         found: list[str] = self.repository.get_group_options(group, ObjectType.CONFIG)
         return found
 

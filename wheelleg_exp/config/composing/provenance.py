@@ -68,7 +68,6 @@ class Source:
 
     @property
     def path(self) -> str:
-        """The dotted path of the config value."""
         return dotted(self.keys)
 
     @property
@@ -113,7 +112,6 @@ class Provenance(Mapping[str, Source]):
         return len(self._by_path)
 
     def below(self, path: str) -> list[Source]:
-        """Return the sources of all config values at or below the config key ``path``."""
         return _sources(at(self._tree, path))
 
     def deleted_below(self, path: str) -> list[Source]:

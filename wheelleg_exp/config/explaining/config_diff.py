@@ -31,7 +31,6 @@ class Change:
 
     @property
     def key(self) -> str:
-        """The dotted config key at which two config trees differ."""
         return dotted(self.keys) if len(self.keys) > 1 else "".join(self.keys)
 
 
