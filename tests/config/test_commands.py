@@ -27,7 +27,12 @@ def test_a_command_prints_yaml_or_json(words, find, expected, capsys):
 
 @pytest.mark.parametrize(
     ("words", "nearest"),
-    [("compose --package env.reward", "env.rewards"), ("list task", "tasks"), ("list terms rewrd", "reward")],
+    [
+        ("compose --package env.reward", "env.rewards"),
+        ("compose --primary trian", "train"),
+        ("list task", "tasks"),
+        ("list terms rewrd", "reward"),
+    ],
 )
 def test_an_unknown_word_is_reported_with_the_nearest(words, nearest, capsys):
     assert main(words.split()) == 2

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from wheelleg_exp.cli import main as script
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.terms import term_binding
 
@@ -69,13 +68,6 @@ def _assert_reported(status, capsys, parts, several=False, without=()):
     assert [part for part in without if part in captured.err] == []
 
 
-def test_an_unknown_primary_is_refused(stock, capsys):
-    assert main(["compose", "--primary", "trian"]) == 2
-    message = capsys.readouterr().err
-    assert "trian: there is no such primary config" in message
-    assert "did you mean 'train'" in message
-
-
 def test_a_mistake_as_json_has_key_file_line_and_nearest_name(command, edit, capsys):
     edit("task/stand.yaml", "[alive, height]", "[alive, heigth]")
     assert command(["--json", "env.num_envs=0"]) == 2
@@ -85,11 +77,6 @@ def test_a_mistake_as_json_has_key_file_line_and_nearest_name(command, edit, cap
     assert (first["key"], first["file"], first["line"]) == ("reward", "configs/task/stand.yaml", 11)
     assert (first["nearest"], first["override"]) == ("height", None)
     assert (second["key"], second["override"], second["file"]) == ("env.num_envs", "env.num_envs=0", None)
-
-
-def test_debug_shows_the_traceback(command, capsys):
-    assert command(["--debug", "task=stnd"]) == 2
-    assert "Traceback" in capsys.readouterr().err
 
 
 def test_unread_settings_of_hydra_in_a_users_file_are_reported(command, user, capsys):
@@ -120,7 +107,3 @@ def test_a_broken_file_of_a_term_hides_no_other_mistake_and_makes_none(text, com
     expected = ["3 mistakes in the config", "alive.yaml", "env.num_envs: 0 is out of range", "'heavy'"]
     status = command(["env.num_envs=0", "env.rewards.height.weight=heavy"])
     _assert_reported(status, capsys, expected, several=True)
-
-
-def test_every_command_of_the_table_has_help():
-    assert all(command.help for command in script.COMMANDS.values())

@@ -41,33 +41,10 @@ def test_the_source_of_a_users_term_is_the_users_file(composed, user):
     assert config.provenance["env.rewards.bounce.weight"].file == user / "reward" / "bounce.yaml"
 
 
-def test_every_leaf_of_a_file_has_the_line_that_contains_its_key(composed):
-    config = composed("task=walk")
-    for path, source in config.provenance.items():
-        text = source.file.read_text().splitlines()[source.line - 1]
-        assert path.rstrip("]").rsplit(".", 1)[-1].split("[")[-1] in text
-
-
-def test_an_override_lists_the_values_that_it_hides_oldest_first(composed):
-    source = composed("env.rewards.height.weight=-3").provenance["env.rewards.height.weight"]
-    assert source.where == "override env.rewards.height.weight=-3"
-    assert [(s.value, s.where) for s in source.shadowed] == [
-        (1.0, "configs/reward/height.yaml:4"),
-        (-50.0, "configs/task/stand.yaml:23"),
-    ]
-
-
 def test_a_null_hides_every_leaf_of_the_term(composed):
     source = composed("task=walk").provenance["env.rewards.alive"]
     assert source.where == "configs/task/walk.yaml:12"
     assert [s.path for s in source.shadowed] == ["env.rewards.alive._target_", "env.rewards.alive.weight"]
-
-
-def test_a_deleted_leaf_is_known_with_the_override_that_deleted_it(composed):
-    provenance = composed("~env.events.push").provenance
-    assert "env.events.push.mode" not in provenance
-    deleted = provenance.deleted["env.events.push.mode"]
-    assert (deleted.override, deleted.shadowed[0].where) == ("~env.events.push", "configs/event/push.yaml:3")
 
 
 @pytest.mark.parametrize(
