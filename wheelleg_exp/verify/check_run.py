@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -117,22 +117,17 @@ def iterations(subject: Subject) -> Check:
         return Check("iterations", "", skipped="the run has no iteration yet")
     if log.cut_off:
         (failures if subject.has_ended else notes).append("the last line is cut off")
-    failures += _results_problems(subject)
+    results, count = subject.manifest.results, len(log.lines)
+    if subject.has_ended and log.lines and not log.problems:
+        last = log.lines[-1].scalars
+        if results.get("iterations", count) != count:
+            failures.append(f"the manifest says {results['iterations']} iterations, the log has {count}")
+        else:
+            wrong = [name for name in results if name in last and last[name] != results[name]]
+            failures += [f"the manifest says {n} {results[n]}, the last iteration {last[n]}" for n in wrong]
     names = list(log.lines[-1].digests) if log.lines else []
-    text = f"{len(log.lines)} iterations from 0; digests of {', '.join(names) or 'nothing'}"
+    text = f"{count} iterations from 0; digests of {', '.join(names) or 'nothing'}"
     return Check("iterations", text, failures, notes)
-
-
-def _results_problems(subject: Subject) -> Iterator[str]:
-    results, lines = subject.manifest.results, subject.log.lines
-    if not subject.has_ended or not lines or subject.log.problems:
-        return
-    if results.get("iterations", len(lines)) != len(lines):
-        yield f"the manifest says {results['iterations']} iterations, the log has {len(lines)}"
-        return
-    for name, value in results.items():
-        if name in lines[-1].scalars and lines[-1].scalars[name] != value:
-            yield f"the manifest says {name} {value}, the last iteration {lines[-1].scalars[name]}"
 
 
 def checkpoints(subject: Subject) -> Check:

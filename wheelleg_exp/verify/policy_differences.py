@@ -157,30 +157,25 @@ def _archived_weights(path: Path) -> dict[str, bytes]:
         return {name.split("/", 1)[1]: archive.read(name) for name in names}
 
 
-def _archived_code(path: Path) -> dict[str, Any]:
+def _archived_code(path: Path) -> dict[str, list[str]]:
     """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
     # TorchScript numbers its classes and orders its constants differently in each process, so ignore numbers and order.
-    found: dict[str, Any] = {}
+    found: dict[str, list[str]] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
         for name in archive.namelist():
             inner = name.split("/", 1)[-1]
             if inner.endswith(".pkl"):
                 # List the operations of a pickle file without running them.
-                operations = pickletools.genops(archive.read(name))
-                found[inner] = [
-                    (op.name, _NUMBER.sub("", repr(x))) for op, x, _ in operations if op.name not in _BOOKKEEPING
-                ]
+                used = (x for x in pickletools.genops(archive.read(name)) if x[0].name not in _BOOKKEEPING)
+                found[inner] = [f"{operation.name} {_NUMBER.sub('', repr(value))}" for operation, value, _ in used]
             elif inner.startswith("code/") and not inner.endswith(".debug_pkl"):
-                plain = _NUMBER_IN_PATH.sub("", inner)
-                found[plain] = sorted([*found.get(plain, []), *_definitions(archive.read(name).decode())])
+                # Compare the set of classes and functions, with sorted constants.
+                code = _NUMBER.sub("", archive.read(name).decode())
+                code = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), code)
+                plain, parts = _NUMBER_IN_PATH.sub("", inner), re.split(r"^(?=class |def )", code, flags=re.MULTILINE)
+                found[plain] = sorted([*found.get(plain, []), *parts])
     return found
-
-
-def _definitions(code: str) -> list[str]:
-    """Return the classes and functions of TorchScript code with sorted constants and without numbers in class names."""
-    ordered = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), _NUMBER.sub("", code))
-    return re.split(r"^(?=class |def )", ordered, flags=re.MULTILINE)
 
 
 def _onnx_weights(path: Path) -> dict[str, tuple[object, ...]]:

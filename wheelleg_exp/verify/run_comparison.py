@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -10,14 +10,13 @@ from wheelleg_exp.config.explaining.config_diff import Change
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import first_few
-from wheelleg_exp.verify import comparison_text as text
 from wheelleg_exp.verify import run_differences as differences
 from wheelleg_exp.verify import run_parts as part
 from wheelleg_exp.verify.check_files import cut
 from wheelleg_exp.verify.check_run import verify_run
-from wheelleg_exp.verify.comparison_text import Divergence, first_divergence
+from wheelleg_exp.verify.comparison_text import Divergence, environment_lines, first_divergence
 from wheelleg_exp.verify.policy_differences import CheckpointComparison, compare_checkpoints, exported_part
-from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_text
+from wheelleg_exp.verify.run_differences import FactDifference, brief, changes_text, plain_changes
 from wheelleg_exp.verify.run_parts import Measured, Part, Sides, Span, measure, span_of
 from wheelleg_exp.verify.tolerance import Tolerance, judge
 
@@ -52,7 +51,7 @@ class Comparison:
         return {
             "verdict": self.verdict,
             "reason": self.reason,
-            "first_divergence": None if self.first_divergence is None else asdict(self.first_divergence),
+            "first_divergence": None if self.first_divergence is None else self.first_divergence.as_dict(),
             "tolerance": None if self.tolerance is None else self.tolerance.as_dict(),
             "a": self.a.as_dict(),
             "b": self.b.as_dict(),
@@ -69,10 +68,10 @@ class Comparison:
         for side, measured in sides:
             lines += cut([f"{side}: {name} {what}" for name, what in measured.damage.items()])
         if self.first_divergence is not None:
-            lines += ["", *text.divergence_lines(self.first_divergence)]
+            lines += ["", *self.first_divergence.lines()]
         if self.tolerance is not None:
             lines += ["", "tolerance", *(f"  {line}" for line in self.tolerance.lines())]
-        lines += text.environment_lines(self.environment, self.settings, equal=self.verdict == "identical")
+        lines += environment_lines(self.environment, self.settings, equal=self.verdict == "identical")
         return [*lines, "", f"{self.verdict}: {self.reason}"]
 
 
@@ -93,13 +92,16 @@ def compare_runs(
 
 def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
     ones, others = a.log.lines[: span.until], b.log.lines[: span.until]
+    settings: list[Change] = []
+    decisive: list[Change] = []
     try:
-        settings = differences.setting_changes(a.run, b.run)
+        changes = plain_changes(differences.settings_of(a.run), differences.settings_of(b.run))
+        settings = sorted(changes, key=lambda change: not differences.decides(change.keys))
         decisive = [change for change in settings if differences.decides(change.keys)]
         asked = _changes_part(decisive, "seed, task, env and agent")
     except RunDirectoryError as error:
-        settings, asked = [], Part("not compared", str(error))
-    robot = differences.robot_changes(a.run, b.run)
+        asked = Part("not compared", str(error))
+    robot = plain_changes(differences.robot_of(a.run), differences.robot_of(b.run))
     environment = differences.run_differences(a.run, b.run)
     # Two versions of MuJoCo write different bytes for the same compiled model.
     another = any(d.section == "versions" and d.name in differences.MUJOCO for d in environment)
@@ -125,29 +127,28 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         here = next((pair for pair in checkpoints.pairs if pair.iteration == parted.iteration), None)
         distance = None if here is None or here.parameters is None else (here.iteration, here.parameters)
         tolerance = judge(ones, others, distance, whole=span.whole)
-    verdict, reason = _verdict(parts, span, (a, b), environment, tolerance)
-    # Check the files of both runs for contradictions only if the runs seem identical, because this check is slow.
-    if verdict == "identical" and any((wrong := _contradictions(a, b, span)).values()):
-        parts["files"] = _damage_part(wrong)
-        verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
-    first, until = first_divergence(parts, parted, checkpoints, span, (a, b)), span.until
-    return Comparison(a, b, verdict, reason, first, until, settings, robot, parts, checkpoints, environment, tolerance)
-
-
-def _damage_part(wrong: dict[str, list[str]]) -> Part:
-    text = "; ".join(f"{side}: {first_few(files, 1)}" for side, files in wrong.items() if files)
-    return (
-        Part("different", text, {"damaged": wrong}) if text else Part("equal", "all as their manifests recorded them")
+    damaged = [pair for pair in checkpoints.pairs if pair.state == "unreadable"]
+    excuse = None if damaged or "unreadable" in parts["recording"].details else tolerance
+    verdict, reason = _verdict(parts, span, (a, b), environment, excuse)
+    if verdict == "identical":
+        # Search the files of both runs for contradictions only if the runs seem identical, because this is slow.
+        for side, run in (("A", a), ("B", b)):
+            checks = [c for c in verify_run(run.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]
+            damage[side] = [failure for check in checks for failure in check.failures]
+        if any(damage.values()):
+            parts["files"] = _damage_part(damage)
+            verdict, reason = "different", f"damaged: {parts['files'].text}; {reason}"
+    first = first_divergence({"settings": decisive, "robot": other_robot}, parts, parted, checkpoints, span, (a, b))
+    return Comparison(
+        a, b, verdict, reason, first, span.until, settings, robot, parts, checkpoints, environment, tolerance
     )
 
 
-def _contradictions(a: Measured, b: Measured, span: Span) -> dict[str, list[str]]:
-    """Return the errors that ``verify_run`` finds in each run, such as contradictions between two files of a run."""
-    found: dict[str, list[str]] = {}
-    for side, measured in (("A", a), ("B", b)):
-        checks = [c for c in verify_run(measured.run).checks if span.whole or c.name in _OF_THE_SNAPSHOT]
-        found[side] = [failure for check in checks for failure in check.failures]
-    return found
+def _damage_part(wrong: Mapping[str, list[str]]) -> Part:
+    text = "; ".join(f"{side}: {first_few(files, 1)}" for side, files in wrong.items() if files)
+    if not text:
+        return Part("equal", "all as their manifests recorded them")
+    return Part("different", text, {"damaged": wrong})
 
 
 def _changes_part(changes: list[Change], what: str) -> Part:
@@ -156,11 +157,17 @@ def _changes_part(changes: list[Change], what: str) -> Part:
 
 
 def _checkpoints_part(found: CheckpointComparison) -> Part:
-    details = asdict(found)
     if not found.pairs:
-        return Part("not compared", "the runs have no checkpoints of the same iteration", details)
-    state: part.State = "equal" if all(pair.equal for pair in found.pairs) else "different"
-    return Part(state, text.checkpoints_text(found), details)
+        return Part("not compared", "the runs have no checkpoints of the same iteration", asdict(found))
+    states = [pair.state for pair in found.pairs]
+    kinds = {"bytes": "byte for byte", "content": "equal, in different bytes"}
+    kinds |= {"different": "different", "unreadable": "unreadable"}
+    texts = [f"{states.count(state)} {words}" for state, words in kinds.items() if state in states]
+    texts += [f"{len(only)} only in {side}" for side, only in (("A", found.only_a), ("B", found.only_b)) if only]
+    first = next((pair for pair in found.pairs if not pair.equal), None)
+    if first is not None:
+        texts.append(first.problem or f"the first model_{first.iteration}.pt")
+    return Part("equal" if first is None else "different", ", ".join(texts), asdict(found))
 
 
 def _whole_parts(a: Measured, b: Measured, span: Span, settings: list[Change]) -> dict[str, Part]:
@@ -191,7 +198,7 @@ def _verdict(
         status = sides["AB".index(span.shorter)].status
         return "different", f"{span.shorter} stops after iteration {span.until - 1} ({status}); {common}"
     if numbers:
-        return _verdict_on_numbers(numbers, parts, environment, tolerance)
+        return _verdict_on_numbers(numbers, environment, tolerance)
     if parts["settings"].state == "not compared":
         return "different", f"not shown to be equal: {parts['settings'].text}"
     if all(parts[name].state == "not compared" for name in ("digests", "checkpoints")):
@@ -203,11 +210,10 @@ def _verdict(
 
 
 def _verdict_on_numbers(
-    numbers: list[str], parts: dict[str, Part], environment: list[FactDifference], tolerance: Tolerance | None
+    numbers: list[str], environment: list[FactDifference], tolerance: Tolerance | None
 ) -> tuple[Verdict, str]:
     reasons = "; ".join(dict.fromkeys(str(difference.allows) for difference in differences.allowing(environment)))
-    damaged = any(pair["state"] == "unreadable" for pair in parts["checkpoints"].details["pairs"])
-    if damaged or "unreadable" in parts["recording"].details or tolerance is None:
+    if tolerance is None:
         why = "" if reasons else ", and nothing in the environment allows it"
         if forbidden := differences.forbidding(environment):
             why = f"; {_code_text(forbidden)}" + (f", which {reasons} cannot excuse" if reasons else "")

@@ -42,16 +42,6 @@ def decides(keys: Keys) -> bool:
     return not any(keys[: len(harmless)] == harmless for harmless in _HARMLESS)
 
 
-def setting_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return the settings that differ between two runs; settings that can change numbers of the training are first."""
-    return sorted(plain_changes(_settings(a), _settings(b)), key=lambda change: not decides(change.keys))
-
-
-def robot_changes(a: RunDirectory, b: RunDirectory) -> list[Change]:
-    """Return how the robots differ: the digests of the source files, the generated MJCF, and the compiled model."""
-    return plain_changes(_robot(a), _robot(b))
-
-
 def plain_changes(a: object, b: object, keys: Keys = ()) -> list[Change]:
     """Return how two nested mappings differ: in values, compared bit for bit, and in the order of inner mappings."""
     return [*changes(a, b, _same, keys), *_reordered(keys, a, b)]
@@ -77,23 +67,23 @@ def brief(value: object) -> str:
     return written if len(written) <= _WIDEST else written[: _WIDEST - 1] + "…"
 
 
-def _settings(run: RunDirectory) -> dict[str, object]:
+def settings_of(run: RunDirectory) -> dict[str, object]:
+    """Return the settings of a run, and those settings that its resumes changed and that can change a number."""
     env, agent = load_params(run)
     facts = run.manifest().facts
-    changed = [[entry.iteration, changes] for entry in facts.resumes if (changes := _resume_changes(entry))]
+    resumes = []
+    for entry in facts.resumes:
+        now = {change.get("key", ""): change.get("now") for change in entry.changes}
+        if decisive := {key: value for key, value in now.items() if decides(tuple(key.split(".")))}:
+            resumes.append([entry.iteration, decisive])
     settings: dict[str, object] = {"seed": list(facts.seeds), "task": facts.task, "env": env, "agent": agent}
-    settings["resumed with other settings"] = changed
+    settings["resumed with other settings"] = resumes
     config = written_config(run)
     return {**settings, "recording": config["recording"]} if "recording" in config else settings
 
 
-def _resume_changes(entry: Resume) -> dict[str, object]:
-    """Return the settings that a resume changed, without settings that cannot change a computed number."""
-    changed = {change.get("key", ""): change.get("now") for change in entry.changes}
-    return {key: value for key, value in changed.items() if decides(tuple(key.split(".")))}
-
-
-def _robot(run: RunDirectory) -> dict[str, object]:
+def robot_of(run: RunDirectory) -> dict[str, object]:
+    """Return the digests of a run's robot: its source files, the generated MJCF, and the compiled model."""
     mjcf = run.asset / "robot.xml"
     try:
         known = recorded_robot(run) if (run.path / ROBOT).is_file() else None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
@@ -92,7 +92,7 @@ class Part:
 
     state: State
     text: str
-    details: dict[str, Any] = field(default_factory=dict)
+    details: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """Return the comparison of, for example, the scalars of two runs as a JSON document."""
@@ -136,13 +136,13 @@ def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
     changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
     if not a:
         return Part("not compared", "the runs have no common iteration")
-    width = max(len(line.scalars) for line in a)
-    details: dict[str, Any] = {"iterations": len(a), "differing_iterations": len(changed)}
+    details = {"iterations": len(a), "differing_iterations": len(changed)}
     if not changed:
+        width = max(len(line.scalars) for line in a)
         return Part("equal", f"{width} scalars of {len(a)} iterations", details)
     first = next(iter(changed))
-    details |= {"first": first, "names": changed[first]}
-    return Part("different", f"from iteration {first} on, in {len(changed)} of {len(a)} iterations", details)
+    text = f"from iteration {first} on, in {len(changed)} of {len(a)} iterations"
+    return Part("different", text, {**details, "first": first, "names": changed[first]})
 
 
 def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
@@ -154,7 +154,7 @@ def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
             names[name] = names.get(name, 0) + 1
             if one.digests[name] != other.digests[name]:
                 first.setdefault(name, one.iteration)
-    details: dict[str, Any] = {"names": list(names), "first_difference": first}
+    details = {"names": list(names), "first_difference": first}
     if not names:
         return Part("not compared", "the runs have no digests in the same format", details)
     if not first:

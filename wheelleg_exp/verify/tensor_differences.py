@@ -6,7 +6,6 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 
@@ -31,7 +30,7 @@ class Difference:
     of: int = 1
 
 
-def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
+def tree_differences(a: object, b: object, name: str = "") -> Iterator[Difference]:
     """Yield the tensors, numbers, and texts that differ between two nested mappings, in the order of their keys."""
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         for key in dict.fromkeys([*a, *b]):
@@ -48,12 +47,12 @@ def tree_differences(a: Any, b: Any, name: str = "") -> Iterator[Difference]:
             yield _values(name, a, b)
     elif type(a) is not type(b):
         yield Difference(name, "kind", type(a).__name__, type(b).__name__)
-    elif struct.pack("d", a) != struct.pack("d", b) if isinstance(a, float) else a != b:
-        if not isinstance(a, (int, float)) or isinstance(a, bool):
-            yield Difference(name, "values", a, b)
-        else:
+    elif isinstance(a, (int, float)) and isinstance(b, (int, float)) and not isinstance(a, bool):
+        if struct.pack("d", a) != struct.pack("d", b) if isinstance(a, float) else a != b:
             largest, scale = float(abs(a - b)), max(abs(a), abs(b))
             yield Difference(name, "values", a, b, (), largest, float(largest / scale) if scale else 0.0)
+    elif a != b:
+        yield Difference(name, "values", a, b)
 
 
 def count_leaves(tree: object) -> int:
@@ -63,11 +62,15 @@ def count_leaves(tree: object) -> int:
     return sum(map(count_leaves, tree)) if isinstance(tree, (list, tuple)) else 1
 
 
-def network_tensors(state: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+def network_tensors(state: Mapping[str, object]) -> dict[str, torch.Tensor]:
     """Return the tensors of all networks in a checkpoint by name, such as ``actor.mlp.0.weight``."""
-    networks = {role: state.get(f"{role}_state_dict", {}) for role in checkpoint.ROLES}
-    tensors = {f"{role}.{name}": value for role, network in networks.items() for name, value in network.items()}
-    return {name: value for name, value in tensors.items() if isinstance(value, torch.Tensor)}
+    return {
+        f"{role}.{name}": value
+        for role in checkpoint.ROLES
+        if isinstance(network := state.get(f"{role}_state_dict"), Mapping)
+        for name, value in network.items()
+        if isinstance(value, torch.Tensor)
+    }
 
 
 def relative_distance(a: Mapping[str, torch.Tensor], b: Mapping[str, torch.Tensor]) -> float:
