@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 
@@ -98,22 +97,18 @@ def sentence(subject: Subject) -> str:
     if status == "running":
         return f"Training is running: {progress} is done. {_stood(subject, figures)}".strip()
     if status != "finished":
-        return f"{_broken(subject, progress)} {_stood(subject, figures)}".strip()
+        error = subject.manifest.error
+        why = f": {error.message}" if error and error.message else ""
+        broken = {
+            "interrupted": f"Training was interrupted after {progress}; it can be resumed.",
+            "crashed": f"The process of this training died; {progress} was written. It can be resumed.",
+        }.get(status, f"Training failed after {progress}{why.rstrip('.')}.")
+        return f"{broken} {_stood(subject, figures)}".strip()
     if figures:
         return _stood(subject, figures)
     share = reached_end(subject)
     tail = "" if share is None else f" In {percent(share)} of the environments the last episode ran to the time-out."
     return f"Trained for {counted(count, 'iteration')}.{tail} The policy has not been played yet."
-
-
-def _broken(subject: Subject, progress: str) -> str:
-    error = subject.manifest.error
-    why = f": {error.message}" if error and error.message else ""
-    if subject.status == "interrupted":
-        return f"Training was interrupted after {progress}; it can be resumed."
-    if subject.status == "crashed":
-        return f"The process of this training died; {progress} was written. It can be resumed."
-    return f"Training failed after {progress}{why.rstrip('.')}."
 
 
 def _stood(subject: Subject, figures: Mapping[str, object]) -> str:
@@ -233,11 +228,6 @@ def facts(subject: Subject) -> list[tuple[str, str]]:
         ("Machine", str((manifest.hardware or {}).get("cpu") or "")),
     ]
     return [(name, value) for name, value in rows if value]
-
-
-def command(subject: Subject) -> str:
-    """Return the command line that started the run."""
-    return shlex.join(subject.manifest.command)
 
 
 def _with_unit(label: str, text: str, note: str, mood: Tone) -> Card:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from wheelleg_exp.definitions import MOTION, recorded_headings, rollout_label, settled_window
 from wheelleg_exp.errors import RunDirectoryError
@@ -20,7 +19,7 @@ from wheelleg_exp.report.headline import ended, played, settle_s, tone_of
 from wheelleg_exp.report.page_blocks import Beside, Block, Cell, Code, More, Note, Table, Text, Tone
 from wheelleg_exp.report.plot_images import drawn
 from wheelleg_exp.report.report_subject import AGENT, Subject, is_number
-from wheelleg_exp.report.value_format import brief, capital, counted, exact, moment, number, numbers, percent, spoken
+from wheelleg_exp.report.value_format import capital, counted, exact, moment, number, numbers, percent, spoken
 from wheelleg_exp.run.records import Addition
 
 _UNITS = {"v_x": "m/s", "v_y": "m/s", "w_z": "rad/s"}
@@ -71,7 +70,9 @@ def _forces(forces: Sequence[ForceExtreme]) -> list[Block]:
 def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
     rows = []
     for use in efforts:
-        ends = [Cell(exact(use.limit), number=True), _saturated(use.saturated_share)]
+        share = use.saturated_share
+        tone: Tone = "" if share is None or share < _HIGH else "warn" if share < _FULL else "bad"
+        ends = [Cell(exact(use.limit), number=True), Cell(percent(share), bar=share, tone=tone)]
         rows.append([Cell(use.joint, code=True), *_numbers(use.rms, use.largest), *ends])
     columns = ("Joint", *map(capital, recorded_headings("efforts")))
     return [Table("Efforts of the joints", columns, rows)] if rows else []
@@ -79,13 +80,6 @@ def _efforts(efforts: Sequence[EffortUse]) -> list[Block]:
 
 def _numbers(*values: float) -> list[Cell]:
     return [Cell(number(value), number=True) for value in values]
-
-
-def _saturated(share: float | None) -> Cell:
-    if share is None:
-        return Cell("–")
-    tone: Tone = "" if share < _HIGH else "warn" if share < _FULL else "bad"
-    return Cell(percent(share), bar=share, tone=tone)
 
 
 _FORMATS: Mapping[str, Callable[[object], str]] = {
@@ -112,9 +106,9 @@ _FIRST = ("Height", "Pitch")  # Plots of height and pitch are first, because the
 
 
 def performance_blocks(subject: Subject) -> list[Block]:
-    """Return the report's tables of plays and evaluations; without a play, return the command that plays the policy."""
+    """Return the report's tables of plays; without a play, return the command that plays the policy."""
     figures = played(subject)
-    found: list[Block] = [*_evaluations(subject)]
+    found: list[Block] = []
     if figures:
         found.append(Beside([_figures(subject, figures), *_endings(figures)]))
         if figures.get("pitch_rms_deg", 0.0) is None:
@@ -122,7 +116,22 @@ def performance_blocks(subject: Subject) -> list[Block]:
     elif subject.status != AGENT:
         found.append(Note("The policy has not been played, so these are only the figures of its training.", ""))
         found.append(Code(f"wheelleg play {subject.id}", "To see how it stands without exploration noise:"))
-    return [*found, *_plays(subject)]
+    plays = subject.additions("play")[-_PLAYS_SHOWN:]
+    if len(plays) > 1:
+        rows = []
+        for entry in plays:
+            results = numbers(entry.results)
+            overrides = results.get("overrides")
+            changed = " ".join(map(str, overrides)) if isinstance(overrides, list) and overrides else "–"
+            names = (str(results.get("checkpoint", "–")), changed)
+            keys = ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")
+            texts = [_FORMATS[key](results.get(key)) for key in keys]
+            texts += [settled_window(settle_s(results)), number(results.get("mean_return"))]
+            cells = [Cell(name, code=True) for name in names] + [Cell(text, number=True) for text in texts]
+            rows.append([Cell(moment(entry.when)), *cells])
+        columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height RMSE", "Pitch RMS")
+        found.append(Table("All plays", (*columns, "Of", "Return, mean"), rows))
+    return found
 
 
 def recording_of_play(subject: Subject) -> Path | None:
@@ -212,43 +221,6 @@ def _endings(figures: Mapping[str, object]) -> list[Block]:
     return [Table(f"How its {counted(count, 'ended episode')} ended{twice}", ("Ended by", "Episodes", "Share"), rows)]
 
 
-def _plays(subject: Subject) -> list[Block]:
-    plays = subject.additions("play")[-_PLAYS_SHOWN:]
-    if len(plays) < 2:
-        return []
-    rows = [[Cell(moment(entry.when)), *_play_row(numbers(entry.results))] for entry in plays]
-    columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height RMSE", "Pitch RMS")
-    return [Table("All plays", (*columns, "Of", "Return, mean"), rows)]
-
-
-def _play_row(results: Mapping[str, object]) -> list[Cell]:
-    overrides = results.get("overrides")
-    changed = " ".join(map(str, overrides)) if isinstance(overrides, list) and overrides else "–"
-    texts = [_FORMATS[key](results.get(key)) for key in ("episodes", "survival", "height_rmse_m", "pitch_rms_deg")]
-    texts += [settled_window(settle_s(results)), number(results.get("mean_return"))]
-    cells = [Cell(text, number=True) for text in texts]
-    return [Cell(str(results.get("checkpoint", "–")), code=True), Cell(changed, code=True), *cells]
-
-
-def _evaluations(subject: Subject) -> list[Block]:
-    entries = [one for one in subject.additions("evaluation") if "protocol" not in one.results]
-    if not entries or not entries[-1].results:
-        return []
-    rows = [[Cell(spoken(name)), Cell(number(v), number=True)] for name, v in _flat(numbers(entries[-1].results))]
-    return [Table(f"Evaluation of {moment(entries[-1].when)}", ("Figure", "Value"), rows)]
-
-
-def _flat(results: Mapping[str, object], head: str = "") -> list[tuple[str, object]]:
-    found: list[tuple[str, object]] = []
-    for name, value in results.items():
-        label = f"{head}{name}"
-        if isinstance(value, Mapping):
-            found += _flat(value, f"{label}: ")
-        else:
-            found.append((label, value if not isinstance(value, (list, tuple)) else brief(value)))
-    return found
-
-
 def _scaled(value: object, factor: float, unit: str) -> str:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return number(value)
@@ -262,11 +234,6 @@ _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", 
 _SHOWN_FIRST = 12  # For each evaluation test, the report shows the first 12 metrics and collapses the others.
 
 
-def evaluated(subject: Subject) -> bool:
-    """Return whether the run has a saved evaluation by an evaluation protocol."""
-    return _last(subject, "evaluation") is not None
-
-
 def evaluation_blocks(subject: Subject) -> list[Block]:
     """Return blocks with the results of a run's last evaluation, test by test, and with the evaluation's plots."""
     entry = _last(subject, "evaluation")
@@ -278,14 +245,23 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     recorded = list(entry.files)
     files = {kind: next((n for n in recorded if n.endswith(f"/{kind}")), None) for kind in (RESULT, EPISODES)}
     result, episodes = (subject.file(files[kind] or "") for kind in (RESULT, EPISODES))
-    content = None if result is None else read_content(result.parent)
-    if content is None:
+    if result is None:
         return [Note("The files of the last evaluation cannot be read."), *_repeat_command(subject, "PROTOCOL")]
+    content = read_content(result.parent)
     # Compare the policy with the reference controller only if both were evaluated in the same scenarios.
     other = _last(subject, "reference")
     is_same = other is not None and other.results.get("scenarios_sha256") == str(content.get("scenarios_sha256"))
     reference = _metrics(other) if other is not None and is_same else None
-    found: list[Block] = [Text(_about_evaluation(entry, content, reference is not None))]
+    about = content.get("about") or {}
+    text = (
+        f"Protocol {content['protocol']['name']}, {moment(entry.when)}, checkpoint {content.get('checkpoint')}, "
+        f"robot profile {about.get('profile')}, engine {about.get('engine', 'mujoco')}; scenarios "
+        f"{str(content['scenarios_sha256'])[:12]}, the same for every policy. Intervals of 95 % are over episodes, not "
+        "over training seeds."
+    )
+    if reference is not None:
+        text += " The reference is a linear-quadratic controller without noise or delay."
+    found: list[Block] = [Text(text)]
     plots = {} if episodes is None else panels(read_episodes(episodes))
     for test, names in groupby(content["metrics"], lambda name: str(name).partition("/")[0]):
         listed = list(names)
@@ -301,23 +277,26 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
         ]
         found.append(Table("Largest survived change", ("Change", "Policy", "Reference"), rows))
     compared = [entry.results for entry in subject.additions("comparison")]
-    in_engines = [r for r in compared if isinstance(r.get("engines"), list) and isinstance(r.get("metrics"), Mapping)]
-    found += [Text(str(r["verdict"])) for r in compared[-1:] if r.get("verdict") and r not in in_engines]
-    for results in {str(r.get("protocol")): r for r in in_engines}.values():
-        found += [_engine_table(results), Text(str(results.get("verdict")))]
+    found += [Text(str(r["verdict"])) for r in compared[-1:] if r.get("verdict") and not _in_engines(r)]
+    for blocks in {str(r.get("protocol")): blocks for r in compared if (blocks := _in_engines(r))}.values():
+        found += blocks
     return found if reference is not None else [*found, *_repeat_command(subject, str(content["protocol"]["name"]))]
 
 
-def _engine_table(results: Mapping[str, Any]) -> Table:
-    """Return the metrics of the same policies in two engines, from the results of a comparison."""
+def _in_engines(results: Mapping[str, object]) -> list[Block]:
+    """Return the metrics of the same policies in two engines; [] if a comparison is not of two engines."""
+    engines, metrics = results.get("engines"), results.get("metrics")
+    if not (isinstance(engines, list) and isinstance(metrics, Mapping)):
+        return []
     rows = []
-    for name, row in results["metrics"].items():
+    for name, row in metrics.items():
         if isinstance(row, list) and len(row) == 3:
             factor, unit = _in_degrees(str(row[2]))
             values = (Cell(_scaled_figure(value, factor), number=True) for value in row[:2])
             rows.append([Cell(name, code=True), *values, Cell(unit)])
     title = f"In two engines: {spoken(str(results.get('protocol')))}, runs: {number(results.get('runs'))}"
-    return Table(title, ("Metric", *map(str, results["engines"]), "Unit"), rows)
+    table = Table(title, ("Metric", *map(str, engines), "Unit"), rows)
+    return [table, Text(str(results.get("verdict")))]
 
 
 def _metrics(entry: Addition) -> Mapping[str, object] | None:
@@ -328,17 +307,6 @@ def _metrics(entry: Addition) -> Mapping[str, object] | None:
 def _last(subject: Subject, kind: str) -> Addition | None:
     entries = (entry for entry in reversed(subject.additions(kind)) if "protocol" in entry.results)
     return next((entry for entry in entries if _metrics(entry) is not None), None)
-
-
-def _about_evaluation(entry: Addition, content: Mapping[str, Any], has_reference: bool) -> str:
-    about = content.get("about") or {}
-    text = (
-        f"Protocol {content['protocol']['name']}, {moment(entry.when)}, checkpoint {content.get('checkpoint')}, "
-        f"robot profile {about.get('profile')}, engine {about.get('engine', 'mujoco')}; scenarios "
-        f"{str(content['scenarios_sha256'])[:12]}, the same for every policy. Intervals of 95 % are over episodes, not "
-        "over training seeds."
-    )
-    return f"{text} The reference is a linear-quadratic controller without noise or delay." if has_reference else text
 
 
 def _table(

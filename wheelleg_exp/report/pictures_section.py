@@ -39,7 +39,6 @@ class Episode:
 
     @property
     def seconds(self) -> float:
-        """The duration of the recorded part of an episode, s."""
         return self.end - self.start + self.step_s
 
 

@@ -7,6 +7,7 @@ checks the run's files against manifest.json, and compares the run with training
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,7 +20,6 @@ from wheelleg_exp.report.value_format import brief, counted, moment, number, siz
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, odd_entries
 from wheelleg_exp.run.records import RunRecord, read_record
 from wheelleg_exp.run.run_directory import REPLAYS, RunDirectory
-from wheelleg_exp.run.source_changes import SourceRecord
 from wheelleg_exp.run.source_restore import load_source
 from wheelleg_exp.verify.check_files import Check, RunFindings
 from wheelleg_exp.verify.check_run import verify_run
@@ -81,27 +81,22 @@ def source(subject: Subject) -> list[Block]:
         return [Note("The state of the source was not recorded.")]
     found: list[Block] = [Heading("Source")]
     for place, record in enumerate(records):
-        found += _repository(record, place)
+        changes = "–" if record.dirty is None else "local changes" if record.dirty else "no local changes"
+        rows = [
+            ("Repository" if not place else f"Repository {place + 1}", record.root or ""),
+            ("Source", _ENTRY_STATES.get(record.status, record.status)),
+            ("Commit", record.commit or ""),
+            ("Branch", record.branch or ""),
+            ("Working tree", f"{changes}; tree {record.tree or '–'}"),
+            ("Patch", f"source/{record.patch}, {size(record.patch_bytes)}" if record.patch else "none"),
+            ("Remote", ", ".join(str(part) for part in (record.remote or {}).values() if part)),
+        ]
+        found.append(Facts([(name, value) for name, value in rows if value]))
+        found += [Note(record.note)] if record.note else []
+        found += _file_list("Untracked files, saved in the patch", record.untracked)
+        refused = [f"{entry['path']}: {entry['reason']}" for entry in record.refused]
+        found += _file_list("Files left out of the patch", refused)
     return found
-
-
-def _repository(record: SourceRecord, place: int) -> list[Block]:
-    changes = "–" if record.dirty is None else "local changes" if record.dirty else "no local changes"
-    rows = [
-        ("Repository" if not place else f"Repository {place + 1}", record.root or ""),
-        ("Source", _ENTRY_STATES.get(record.status, record.status)),
-        ("Commit", record.commit or ""),
-        ("Branch", record.branch or ""),
-        ("Working tree", f"{changes}; tree {record.tree or '–'}"),
-        ("Patch", f"source/{record.patch}, {size(record.patch_bytes)}" if record.patch else "none"),
-        ("Remote", ", ".join(str(part) for part in (record.remote or {}).values() if part)),
-    ]
-    found: list[Block] = [Facts([(name, value) for name, value in rows if value])]
-    if record.note:
-        found.append(Note(record.note))
-    found += _file_list("Untracked files, saved in the patch", record.untracked)
-    refused = [f"{entry['path']}: {entry['reason']}" for entry in record.refused]
-    return [*found, *_file_list("Files left out of the patch", refused)]
 
 
 def _file_list(title: str, names: Sequence[str]) -> list[Block]:
@@ -246,7 +241,21 @@ class Verdict:
 
     def blocks(self) -> list[Block]:
         """Return the content of the report's section on reproducibility."""
-        subject, found = self.subject, [*_found(self), *_repeated(self)]
+        subject, found = self.subject, list(_found(self))
+        if self.repeats:
+            rows = [
+                [
+                    Cell(r.label, code=True),
+                    Cell(r.how),
+                    Cell(r.verdict, tone=_VERDICTS.get(r.verdict, "")),
+                    Cell(r.reason),
+                ]
+                for r in self.repeats
+            ]
+            title = "Runs that should have the same numbers"
+            found.append(Table(title, ("Run", "What it is", "Verdict", "Why"), rows))
+            details = [Code("\n".join(r.lines), f"{r.how} {r.label}:") for r in self.repeats if r.lines]
+            found += [More("The comparisons", details)] if details else []
         if original := subject.manifest.replay_of:
             found.append(Text(f"This run is itself a replay of {original}."))
         if subject.status == "running":
@@ -326,64 +335,30 @@ def _lines(subject: Subject, lines: Sequence[str]) -> list[str]:
     return [line for line in lines if not (own and line.startswith(own))]
 
 
-def _repeated(verdict: Verdict) -> list[Block]:
-    if not verdict.repeats:
-        return []
-    rows = [
-        [Cell(r.label, code=True), Cell(r.how), Cell(r.verdict, tone=_VERDICTS.get(r.verdict, "")), Cell(r.reason)]
-        for r in verdict.repeats
-    ]
-    details: list[Block] = [Code("\n".join(r.lines), f"{r.how} {r.label}:") for r in verdict.repeats if r.lines]
-    table = Table("Runs that should have the same numbers", ("Run", "What it is", "Verdict", "Why"), rows)
-    return [table, *([More("The comparisons", details)] if details else [])]
-
-
 def _repeats(subject: Subject, run: RunDirectory) -> Iterator[Repeat]:
-    known = subject.manifest.id or run.id
-    for how, folders in {
-        "original": _original(run, subject),
-        "replay": _replays(run, known),
-        "same settings": _equals(run, subject),
-    }.items():
-        yield from (_compared(run, folder, how) for folder in folders[-_COMPARED:])
+    own, of = subject.manifest, subject.manifest.replay_of
+    folders: dict[str, list[Path]] = {"original": [], "replay": [], "same settings": []}
+    if of is not None and Path(of).name == of:
+        with suppress(WheellegError):
+            folders["original"].append(RunDirectory.open(of, run.root).path)
+    for folder, record in _others(run, run.root / REPLAYS, "*/*"):
+        folders["replay"] += [folder] if record.replay_of == (own.id or run.id) else []
+    for folder, record in _others(run, run.path.parent, "*") if not of else ():
+        is_equal = record.status == "finished" and _inputs(record) == _inputs(own)
+        folders["same settings"] += [folder] if is_equal else []
+    for how, found in folders.items():
+        yield from (_compared(run, folder, how) for folder in found[-_COMPARED:])
 
 
-def _original(run: RunDirectory, subject: Subject) -> list[Path]:
-    of = subject.manifest.replay_of
-    if of is None or Path(of).name != of:
-        return []
-    try:
-        return [RunDirectory.open(of, run.root).path]
-    except WheellegError:
-        return []
-
-
-def _replays(run: RunDirectory, known: str) -> list[Path]:
-    found = sorted((run.root / REPLAYS).glob(f"*/*/{MANIFEST_NAME}"))
-    others = ((path.parent, _record(path)) for path in found if path.parent != run.path)
-    return [folder for folder, record in others if record is not None and record.replay_of == known]
-
-
-def _equals(run: RunDirectory, subject: Subject) -> list[Path]:
-    if subject.manifest.replay_of:
-        return []
-    found = []
-    for path in sorted(run.path.parent.glob(f"*/{MANIFEST_NAME}")):
-        record = _record(path)
-        if path.parent != run.path and record is not None and record.status == "finished":
-            found += [path.parent] if _inputs(record) == _inputs(subject.manifest) else []
-    return found
+def _others(run: RunDirectory, root: Path, pattern: str) -> Iterator[tuple[Path, RunRecord]]:
+    for path in sorted(root.glob(f"{pattern}/{MANIFEST_NAME}")):
+        if path.parent != run.path:
+            with suppress(WheellegError):
+                yield path.parent, RunDirectory(path.parent).manifest().facts
 
 
 def _inputs(record: RunRecord) -> tuple[object, ...]:
     return record.seeds, *(record.files.get(name) for name in _PARAMS)
-
-
-def _record(path: Path) -> RunRecord | None:
-    try:
-        return RunDirectory(path.parent).manifest().facts
-    except WheellegError:
-        return None
 
 
 def _compared(run: RunDirectory, folder: Path, how: str) -> Repeat:

@@ -6,6 +6,8 @@ only an earlier report of the same run.
 
 from __future__ import annotations
 
+import re
+import shlex
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,7 +29,6 @@ from wheelleg_exp.report.page_blocks import Block, Note, Page, Section
 from wheelleg_exp.report.pictures_section import Look
 from wheelleg_exp.report.provenance_section import Verdict
 from wheelleg_exp.report.report_subject import AGENT, KIND, Subject
-from wheelleg_exp.report.value_format import whole_units
 from wheelleg_exp.run.run_list import non_finite_note
 
 # A report page contains ``MARK`` and the run's id, so that only a later report of this run overwrites the page.
@@ -101,43 +102,44 @@ Builder = Callable[[], Sequence[Block]]
 
 def compile_page(subject: Subject, look: Look, verdict: Verdict) -> Page:
     """Return the report page of one run."""
-    unknown = "The outcome of this run is unknown: its manifest is damaged."
+    sentence = _or(lambda: headline.sentence(subject), "The outcome of this run is unknown: its manifest is damaged.")
+    trained = _or(lambda: non_finite_note(subject.manifest.results), None)
+    played = _or(lambda: non_finite_note(headline.played(subject)), None)
+    not_finite = [f"{what}: {note}" for what, note in (("The training", trained), ("The last rollout", played)) if note]
     return Page(
         run=subject.id,
         task=subject.task,
         status=subject.status,
         tone=headline.TONES.get(subject.status, ""),
-        sentence=_or(lambda: whole_units(headline.sentence(subject)), unknown),
+        # Write a non-breaking space between a number and its unit.
+        sentence=re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", sentence),
         cards=_or(lambda: headline.cards(subject, verdict.card), [verdict.card] if verdict.card else []),
         facts=_or(lambda: headline.facts(subject), []),
-        command=_or(lambda: headline.command(subject), ""),
+        command=shlex.join(subject.manifest.command),
         hero=_or(look.hero, None),
         sections=_sections(subject, look, verdict),
         # Build the sections before reading ``subject.problems``, because the sections add their errors to this list.
-        notes=[Note(problem) for problem in dict.fromkeys([*_not_finite(subject), *subject.problems])],
+        notes=[Note(problem) for problem in dict.fromkeys([*not_finite, *subject.problems])],
         version=__version__,
     )
 
 
-def _not_finite(subject: Subject) -> list[str]:
-    trained = _or(lambda: non_finite_note(subject.manifest.results), None)
-    played = _or(lambda: non_finite_note(headline.played(subject)), None)
-    return [f"{what}: {note}" for what, note in (("The training", trained), ("The last rollout", played)) if note]
-
-
 def _sections(subject: Subject, look: Look, verdict: Verdict) -> list[Section]:
-    lead = _or(lambda: _lead(subject), "")
+    lead = "Figures of the policy without exploration noise, over the first episode of each environment."
+    if subject.status == AGENT:
+        lead = "Figures of these actions, over the first episode of each environment."
+    elif not _or(lambda: bool(headline.played(subject)), False):
+        lead = ""
     played = section("standing", "Does it stand?", lead, lambda: standing.performance_blocks(subject), look.of_play)
     if subject.status == AGENT:
         return [played, _settings(subject)]
     curves = (lambda: learning.first_curves(subject), look.of_training, lambda: learning.more_curves(subject))
     origin = [partial(part, subject) for part in (provenance.source, provenance.machine, provenance.robot)]
     files = (lambda: provenance.resumes(subject), lambda: provenance.files(subject))
-    found = [played]
-    if _or(lambda: standing.evaluated(subject), False):
-        found.append(section("evaluation", "How well did it do?", "", lambda: standing.evaluation_blocks(subject)))
+    evaluation = section("evaluation", "How well did it do?", "", lambda: standing.evaluation_blocks(subject))
     return [
-        *found,
+        played,
+        *([evaluation] if evaluation.blocks else []),
         section("learning", "How it learned", "", *curves),
         section("objective", "What it optimises", "", lambda: learning.reward_blocks(subject)),
         section("trust", "Can it be trusted and repeated?", "", verdict.blocks),
@@ -150,14 +152,6 @@ def _sections(subject: Subject, look: Look, verdict: Verdict) -> list[Section]:
 def _settings(subject: Subject) -> Section:
     lead = "The values that differ from the task's defaults, and who set them."
     return section("settings", "What was set", lead, lambda: settings.settings_blocks(subject))
-
-
-def _lead(subject: Subject) -> str:
-    if subject.status == AGENT:
-        return "Figures of these actions, over the first episode of each environment."
-    if headline.played(subject):
-        return "Figures of the policy without exploration noise, over the first episode of each environment."
-    return ""
 
 
 def section(name: str, title: str, lead: str, *builders: Builder) -> Section:

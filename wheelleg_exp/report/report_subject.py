@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import TypeGuard, TypeVar
 
-from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import read_json, read_lines, read_yaml
 from wheelleg_exp.packages import own_folders
@@ -43,11 +43,9 @@ class Subject:
     run: RunDirectory | None  # ``run`` is None for a zero or random agent's run, which has no manifest.
     manifest: RunRecord = _NO_RECORD
     status: str = AGENT  # The status ``agent`` means a zero or random agent's run.
-    config: Mapping[str, Any] = field(default_factory=dict)  # ``config`` has the run's sections ``env`` and ``agent``.
+    config: Mapping[str, object] = field(default_factory=dict)  # The run's sections ``env`` and ``agent``.
     overrides: list[str] | None = None  # None means that the user's Hydra overrides are unknown.
-    choices: Mapping[str, object] = field(
-        default_factory=dict
-    )  # ``choices`` maps Hydra config groups to selected options.
+    choices: Mapping[str, object] = field(default_factory=dict)  # The selected option of each Hydra config group.
     config_dirs: tuple[Path, ...] = ()
     scalars: dict[str, Series] = field(default_factory=dict)
     agent_figures: Mapping[str, object] = field(default_factory=dict)
@@ -55,12 +53,10 @@ class Subject:
 
     @property
     def id(self) -> str:
-        """The name of the directory of the run."""
         return self.path.name
 
     @property
     def task(self) -> str:
-        """The name of the task."""
         return self.manifest.task or self.path.parent.name
 
     @property
@@ -69,7 +65,7 @@ class Subject:
         dt, decimation = self.setting("env.sim.dt"), self.setting("env.decimation")
         return dt * decimation if is_number(dt) and is_number(decimation) else None
 
-    def setting(self, path: str) -> Any:
+    def setting(self, path: str) -> object:
         """Return the value of a dotted key in the run's config; None if the config lacks the key."""
         return at(self.config, path)
 
@@ -112,19 +108,22 @@ def open_subject(name: str | Path, root: Path) -> Subject:
 def _training(run: RunDirectory) -> Subject:
     manifest = run.manifest()
     subject = Subject(run.path, run, manifest.facts, effective_status(manifest))
-    nothing: dict[str, Any] = {}
     overrides = subject.file(OVERRIDES)
     typed = subject.tried(lambda: read_yaml(overrides) if overrides else None, None)
     subject.overrides = [str(text) for text in typed] if isinstance(typed, list) else None
+    nothing: Mapping[str, object] = {}
     subject.config = {part: subject.tried(partial(_mapping, subject, f"params/{part}.yaml"), nothing) for part in PARTS}
-    runtime = subject.tried(lambda: dict(_mapping(subject, ".hydra/hydra.yaml")["hydra"]["runtime"]), nothing)
-    subject.choices = subject.tried(lambda: dict(runtime.get("choices") or {}), nothing)
-    subject.config_dirs = subject.tried(lambda: tuple(_own_folders(runtime.get("config_sources") or [])), ())
+    runtime = section_at(subject.tried(lambda: _mapping(subject, ".hydra/hydra.yaml"), nothing), "hydra.runtime")
+    subject.choices, sources = section_at(runtime, "choices"), runtime.get("config_sources")
+    found = [entry for entry in (sources if isinstance(sources, list) else ()) if isinstance(entry, Mapping)]
+    kept = [entry for entry in found if entry.get("schema") == "file" and entry.get("provider") != "main"]
+    # Read only those folders of the run's Hydra search path that the user trusts.
+    subject.config_dirs = tuple(own_folders(str(entry["path"]) for entry in kept if entry.get("path")))
     subject.scalars = subject.tried(lambda: _scalars(subject), {})
     return subject
 
 
-def _mapping(subject: Subject, name: str) -> dict[str, Any]:
+def _mapping(subject: Subject, name: str) -> Mapping[str, object]:
     path = subject.file(name)
     if path is None:
         raise RunDirectoryError(f"the run has no file {name}")
@@ -132,12 +131,6 @@ def _mapping(subject: Subject, name: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RunDirectoryError(f"the file {name} does not contain a mapping")
     return content
-
-
-def _own_folders(sources: Iterable[Mapping[str, object]]) -> list[Path]:
-    """Return those folders of the run's Hydra search path that the user trusts; other folders must not be read."""
-    kept = [entry for entry in sources if entry.get("schema") == "file" and entry.get("provider") != "main"]
-    return own_folders(str(entry["path"]) for entry in kept if entry.get("path"))
 
 
 def _scalars(subject: Subject) -> dict[str, Series]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from wheelleg_exp.config.composing.compose import Composed, compose
-from wheelleg_exp.config.composing.provenance import Mount
 from wheelleg_exp.config.explaining.config_diff import ABSENT, changes, same
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.report.page_blocks import Block, Cell, Code, More, Note, Table, Text
@@ -22,16 +20,6 @@ _NOT_COMPOSED = ("hydra", "${", "..")
 _LETTERS = 20_000
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A config value of the run and the task's default value, both as texts for the report."""
-
-    path: str
-    default: str
-    value: str
-    origin: str
-
-
 def settings_blocks(subject: Subject) -> list[Block]:
     """Return tables of a run's overrides, its changes to the task's defaults, and values of the user's YAML files."""
     found: list[Block] = [Text("Nothing was changed on the command line.")]
@@ -44,12 +32,8 @@ def settings_blocks(subject: Subject) -> list[Block]:
         default, again = _composed(subject)
     except WheellegError as error:
         return [*found, Note(f"The task cannot be composed here, so only the overrides are listed: {error.message}.")]
-    settings = list(differences(subject, default, again))
-    if settings:
-        rows = [
-            [Cell(s.path, code=True), Cell(s.default, code=True), Cell(s.value, code=True), Cell(s.origin)]
-            for s in settings
-        ]
+    rows = list(_differences(subject, default, again))
+    if rows:
         columns = ("Key", "Default", "This run", "Set by")
         shown = Table("Values that differ from the task's defaults", columns, rows[:_ROWS])
         more = f"{counted(len(rows), 'value')} differ; the first {_ROWS}"
@@ -57,44 +41,37 @@ def settings_blocks(subject: Subject) -> list[Block]:
     else:
         found.append(Text("Every other value is the task's current default."))
     found.append(Text("Compared are env and agent. The seed is listed above; recording and run decide no number."))
-    own = list(own_leaves(again))
+    sources = [source for source in again.provenance.values() if source.file is not None] if again else []
+    folders = again.config_dirs if again else ()
+    own = [source for source in sources if any(Path(str(source.file)).is_relative_to(folder) for folder in folders)]
     if own:
-        rows = [[Cell(s.path, code=True), Cell(s.value, code=True), Cell(s.origin, code=True)] for s in own[:_ROWS]]
+        texts = [(source.path, brief(source.value), source.where) for source in own[:_ROWS]]
+        rows = [[Cell(text, code=True) for text in row] for row in texts]
         table = Table("Values set by the user's files", ("Key", "Value", "Set by"), rows, titled=False)
         found.append(More(f"{counted(len(own), 'value')} set by files outside the stock configs", [table]))
     return found
 
 
-def differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[Setting]:
-    """Yield those parameters of the run that differ from the task's defaults.
+def _differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[list[Cell]]:
+    """Yield a table row for each parameter of the run that differs from the task's default.
 
     ``default`` is the task's config without overrides; ``again`` is the config that Hydra composes on this machine with
     the run's overrides. A parameter's origin (a file or an override) is known from ``again`` if its value there equals
     the run's value.
     """
-    mounts = again.mounts if again else ()
     for part in _PARTS:
         if subject.config.get(part):
             for change in changes(default.config.get(part), subject.config[part], same, (part,)):
-                origin = _origin(again, mounts, change.keys, change.b, ABSENT in (change.a, change.b))
-                yield Setting(change.key, _shown(change.a), _shown(change.b), origin)
-
-
-def own_leaves(composed: Composed | None) -> Iterator[Setting]:
-    """Yield the run's config values that come from the user's own YAML files."""
-    if composed is None:
-        return
-    folders = composed.config_dirs
-    for source in composed.provenance.values():
-        if source.file is not None and any(Path(source.file).is_relative_to(folder) for folder in folders):
-            yield Setting(source.path, "", brief(source.value), source.where)
+                texts = [_NOT_SET if value is ABSENT else brief(value) for value in (change.a, change.b)]
+                origin = _origin(again, change.keys, change.b, ABSENT in (change.a, change.b))
+                yield [*(Cell(text, code=True) for text in (change.key, *texts)), Cell(origin)]
 
 
 def _composed(subject: Subject) -> tuple[Composed, Composed | None]:
     folders = list(subject.config_dirs)
     task = str(subject.choices.get("task") or subject.task)
     if subject.status == AGENT:
-        task = str((subject.config.get("task") or {}).get("name") or task)
+        task = str(subject.setting("task.name") or task)
     words = subject.overrides or []
     _require_harmless([task])
     default = compose([f"task={task}"], config_dirs=folders)
@@ -111,11 +88,7 @@ def _require_harmless(words: Sequence[str]) -> None:
         raise ConfigError("Hydra does not compose the run's overrides: they could read files outside config folders")
 
 
-def _shown(value: object) -> str:
-    return _NOT_SET if value is ABSENT else brief(value)
-
-
-def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: object, one_sided: bool) -> str:
+def _origin(again: Composed | None, keys: Keys, value: object, one_sided: bool) -> str:
     # The origin of a config value is known only if Hydra composes an equal value on this machine.
     if again is None:
         return _THEN
@@ -124,14 +97,10 @@ def _origin(again: Composed | None, mounts: Sequence[Mount], keys: Keys, value: 
         node = node.get(key, ABSENT) if isinstance(node, Mapping) else ABSENT
     if (node is ABSENT) != (value is ABSENT) or (node is not ABSENT and not same(node, value)):
         return _THEN
-    return _who(keys, again, mounts if one_sided else ()) or _THEN
-
-
-def _who(keys: Keys, again: Composed, mounts: Sequence[Mount]) -> str | None:
     places, path = again.provenance, dotted(keys)
     found = places.below(path) or places.deleted_below(path)
-    mount = next((m for m in mounts if m.several and m.package == dotted(keys[:-1])), None)
-    chosen = str(mount.choices[-1].where) if mount is not None and mount.choices else None
+    mounts = [m for m in again.mounts if m.several and m.package == dotted(keys[:-1])] if one_sided else []
+    chosen = str(mounts[0].choices[-1].where) if mounts and mounts[0].choices else None
     if chosen is not None and (not found or chosen.startswith("override")):
         return chosen
-    return found[0].where if found else None
+    return found[0].where if found else _THEN

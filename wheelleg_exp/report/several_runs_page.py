@@ -9,8 +9,8 @@ import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ from wheelleg_exp import __version__
 from wheelleg_exp.config.tree_lookup import leaves
 from wheelleg_exp.definitions import LAST, curve_title, scalar_definition
 from wheelleg_exp.errors import RunDirectoryError
+from wheelleg_exp.inspection.plot_data import Numbers
 from wheelleg_exp.inspection.plot_style import Panel, colour
 from wheelleg_exp.inspection.training_curves import over_iterations
 from wheelleg_exp.report.headline import done, played
@@ -57,7 +58,6 @@ class Group:
         return ", ".join(f"{key.rsplit('.', 1)[-1]}={value}" for key, value in self.settings.items()) or "all runs"
 
     def last(self, key: str) -> list[float]:
-        """Return the last value of a training scalar for each run that has logged the scalar."""
         return [run.scalars[key].values[-1] for run in self.runs if key in run.scalars]
 
 
@@ -151,29 +151,24 @@ def _spread(values: Sequence[float], *, share: bool = False) -> str:
 def curves(groups: Sequence[Group]) -> list[Block]:
     """Return the learning curves of all groups: means, and one standard deviation."""
     known = {key for group in groups for run in group.runs for key in run.scalars}
-    panels = [_panel(key, groups) for key in _CURVES if key in known]
-    return [drawn(panels)] if panels else [Note("None of them has finished an iteration.", "")]
 
-
-def _panel(key: str, groups: Sequence[Group]) -> Panel:
-    def draw(axes: Axes) -> None:
+    def draw(key: str, axes: Axes) -> None:
         for i, group in enumerate(groups):
             series = [run.scalars[key] for run in group.runs if key in run.scalars]
             at, mean, deviation = course([(one.at, one.values) for one in series])
             if len(at):
                 axes.plot(at, mean, color=colour(i), label=group.label, marker="." if len(at) < 15 else None)
                 axes.fill_between(at, mean - deviation, mean + deviation, color=colour(i), alpha=0.2, linewidth=0)
-        known = scalar_definition(key)
-        over_iterations(axes, "" if known is None else known.unit)
+        definition = scalar_definition(key)
+        over_iterations(axes, "" if definition is None else definition.unit)
         if len(groups) > 1:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
-    return Panel(curve_title(key), draw)
+    panels = [Panel(curve_title(key), partial(draw, key)) for key in _CURVES if key in known]
+    return [drawn(panels)] if panels else [Note("None of them has finished an iteration.", "")]
 
 
-def course(
-    series: Sequence[tuple[Sequence[int], Sequence[float]]],
-) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def course(series: Sequence[tuple[Sequence[int], Sequence[float]]]) -> tuple[Numbers, Numbers, Numbers]:
     """Return the iterations that all runs have, and a scalar's means and standard deviations over the runs.
 
     For each run, ``series`` contains the training iterations and the values of one logged scalar, such as a reward.
@@ -188,7 +183,7 @@ def course(
         return np.array([]), np.array([]), np.array([])
     values = np.array([[run[at] for at in common] for run in runs])
     deviation = values.std(axis=0, ddof=1) if len(runs) > 1 else np.zeros(len(common))
-    return np.array(common), values.mean(axis=0), deviation
+    return np.array(common, dtype=np.float64), values.mean(axis=0), deviation
 
 
 def members(groups: Sequence[Group]) -> list[Block]:
@@ -200,18 +195,14 @@ def members(groups: Sequence[Group]) -> list[Block]:
             Cell(" ".join(map(str, run.manifest.seeds)), number=True),
             Cell(run.status),
             Cell(str(done(run)), number=True),
-            *(Cell(_spread(_last(run, key)), number=True) for key in (_RETURN, _LENGTH)),
-            Cell(_spread(_last(run, _TIME_OUT), share=True), number=True),
+            *(Cell(number(run.last(key)), number=True) for key in (_RETURN, _LENGTH)),
+            Cell(percent(run.last(_TIME_OUT)), number=True),
         ]
         for group in groups
         for run in group.runs
     ]
     table = Table("The runs", ["run", "setting", "seed", "status", "iterations", *_FIGURES], rows, titled=False)
     return [table, Code("wheelleg report RUN", "a page about one of them")]
-
-
-def _last(run: Subject, key: str) -> list[float]:
-    return [run.scalars[key].values[-1]] if key in run.scalars else []
 
 
 COMPARISON = "comparison.html"

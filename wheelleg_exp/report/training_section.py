@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from wheelleg_exp.definitions import curve_title
 from wheelleg_exp.inspection import training_curves
@@ -59,7 +58,7 @@ def reward_blocks(subject: Subject) -> list[Block]:
     terms = subject.setting("env.rewards")
     if not isinstance(terms, Mapping) or not terms:
         return [Note("The rewards of this task are not known: its parameters are missing.")]
-    late: dict[Any, float | None] = dict.fromkeys(terms)
+    late: dict[object, float | None] = dict.fromkeys(terms)
     for name in terms:
         series = subject.scalars.get(_HEAD + str(name))
         values = series.values[-max(1, len(series.values) // 10) :] if series else ()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
-from typing import Any
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LONGEST = 160  # A report shows at most this number of characters of a value.
@@ -26,14 +24,13 @@ def number(value: object, digits: int = 3) -> str:
     return f"{value:.{places}f}".replace("-", "−")
 
 
-def numbers(value: object) -> Any:
-    """Replace the text ``nan`` in a value from a JSON file by None, because JSON has no NaN."""
-    if isinstance(value, Mapping):
-        return {key: numbers(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [numbers(inner) for inner in value]
-    none = value == "nan" if isinstance(value, str) else isinstance(value, float) and math.isnan(value)
-    return None if none else value
+def numbers(figures: Mapping[str, object]) -> dict[str, object]:
+    """Replace the text ``nan`` in figures from a JSON file by None, because JSON has no NaN."""
+    found: dict[str, object] = {}
+    for key, value in figures.items():
+        is_nan = value == "nan" or (isinstance(value, float) and math.isnan(value))
+        found[key] = numbers(value) if isinstance(value, Mapping) else None if is_nan else value
+    return found
 
 
 def exact(value: object) -> str:
@@ -114,8 +111,3 @@ def spoken(name: str) -> str:
 def capital(text: str) -> str:
     """Return ``text`` with a capital first letter."""
     return text[:1].upper() + text[1:]
-
-
-def whole_units(text: str) -> str:
-    """Replace each space between a number and its unit by a non-breaking space."""
-    return re.sub(r"(?<=\d) (?=(?:s|mm|%)\b|%)", "\u00a0", text)
