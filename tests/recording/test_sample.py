@@ -1,6 +1,6 @@
 import pytest
 
-from wheelleg_exp.recording.recording_options import Sample
+from wheelleg_exp.recording.writing.recorded_frames import Sample
 
 
 def taken(lengths: list[int], enough: int, most: int, dues: tuple[int, ...] = (0,)) -> list[tuple[int, int]]:

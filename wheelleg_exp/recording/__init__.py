@@ -4,7 +4,6 @@
 |---|---|
 | ``layout`` | the entity paths of a recording |
 | ``blueprint`` | the layout of the viewer |
-| ``recording_options`` | the choice of the recorded episodes |
 | ``rrd_file``, ``rerun_program`` | the messages of an rrd file, and Rerun's command-line program |
 | ``writing``, ``reading`` | from the environment into a file, and back |
 """

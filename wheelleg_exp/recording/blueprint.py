@@ -63,31 +63,26 @@ def blueprint(
     if documents:
         texts = [rrb.TextDocumentView(origin=join(DOCUMENTS, name), name=name) for name in documents]
         tabs.append(rrb.Tabs(*texts, name="Documents", active_tab=0))
-    return rrb.Blueprint(
-        rrb.Horizontal(_robot_view(envs), rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        # The viewer's time axis shows control steps for a training's recording, else simulated time.
-        rrb.TimePanel(state="collapsed", timeline=layout.STEP if purpose == "training" else layout.SIM_TIME),
-    )
-
-
-def _robot_view(envs: Sequence[EnvLayout]) -> rrb.Spatial3DView:
-    """Return the 3D view of Rerun's viewer; its camera follows the first robot, and collision shapes are hidden."""
     size, root = envs[0].size, envs[0].root
     distance = size * (1.0 + 0.6 * (len(envs) - 1))
     position, target, up = [1.3 * distance, -1.45 * distance, 1.1 * distance], [0.0, 0.0, 0.4 * size], [0.0, 0.0, 1.0]
-    eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up, tracking_entity=root
-    )
-    return rrb.Spatial3DView(
+    robot = rrb.Spatial3DView(
         origin="/",
         contents=[f"+ /{name}/**" for name in (layout.GROUND, layout.WORLD, layout.OVERLAY)],
         name="Robot",
         background=rrb.Background(color=_BACKGROUND),
         line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=eye,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up, tracking_entity=root
+        ),
         overrides={env.paths.overlay("colliders"): rrb.EntityBehavior(visible=False) for env in envs},
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(robot, rrb.Tabs(*tabs, active_tab=0), column_shares=[5, 5]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        # The viewer's time axis shows control steps for a training's recording, else simulated time.
+        rrb.TimePanel(state="collapsed", timeline=layout.STEP if purpose == "training" else layout.SIM_TIME),
     )
 
 

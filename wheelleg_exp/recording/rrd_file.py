@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    import rerun.blueprint as rrb
     from rerun.chunk import Chunk
 
 MAGIC = b"RRF2"
@@ -105,34 +104,21 @@ class RrdFile:
                 yield self.read(message.begin, message.end)
 
 
-def encoded_header() -> bytes:
-    """Return the header of a new rrd file."""
-    return _chunk_file([], "").header
-
-
-def encoded_chunks(chunks: Iterable[Chunk], recording_id: str) -> bytes:
-    """Encode data chunks as rrd messages of one recording. Raise OSError if a temporary file cannot be written."""
-    return b"".join(_chunk_file(chunks, recording_id).body())
-
-
-def encoded_blueprint(blueprint: rrb.Blueprint) -> bytes:
-    """Encode a layout of Rerun's viewer (blueprint) as rrd messages, which set the default layout of a recording."""
-    return b"".join(_temporary_file(lambda path: blueprint.to_blueprint().save(APPLICATION, path)).body())
-
-
-def _chunk_file(chunks: Iterable[Chunk], recording_id: str) -> RrdFile:
+def chunk_file(chunks: Iterable[Chunk], recording_id: str) -> RrdFile:
+    """Return a temporary rrd file with data chunks of one recording. Raise OSError if it cannot be written."""
     from rerun.chunk import LazyChunkStream
 
     stream = LazyChunkStream.from_iter(chunks)
     try:
-        return _temporary_file(
+        return temporary_file(
             lambda path: stream.write_rrd(path, application_id=APPLICATION, recording_id=recording_id)
         )
     except RuntimeError as error:
         raise OSError(str(error)) from error
 
 
-def _temporary_file(write: Callable[[str], None]) -> RrdFile:
+def temporary_file(write: Callable[[str], None]) -> RrdFile:
+    """Return a temporary rrd file that the function ``write`` writes."""
     with tempfile.TemporaryFile() as file:
         path = f"/dev/fd/{file.fileno()}"
         write(path)

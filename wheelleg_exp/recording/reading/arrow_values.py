@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pyarrow as pa
 
@@ -27,7 +26,7 @@ _COMPONENT_TYPES: dict[str, pa.DataType] = {
 }
 
 
-def python_values(array: pa.Array | pa.ChunkedArray) -> list[Any]:
+def python_values(array: pa.Array | pa.ChunkedArray) -> list[object]:
     """Convert Arrow values to Python values. Arrow values that Arrow cannot convert become None.
 
     Times become integers in the unit of the Arrow type, which is nanoseconds in Rerun's files. Python's time types have

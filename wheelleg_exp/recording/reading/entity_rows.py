@@ -96,7 +96,6 @@ class EntityRows:
         return (lengths[0].as_py() or 0) if len(lengths) else 0
 
     def number_names(self, entity: str) -> list[str]:
-        """Return the names of a Rerun entity's numbers; an empty list if the numbers have no names."""
         return [str(word)[:LONGEST_TEXT] for word in self.static(entity).get("names", [])]
 
     def static(self, entity: str) -> dict[str, list[object]]:
@@ -104,7 +103,8 @@ class EntityRows:
         path = entity.strip("/")
         if path not in self._statics:
             self._statics[path] = latest(self._contents.rows(path, static=True))
-        return {name: python_values(array)[0] or [] for name, array in self._statics[path].items()}
+        values = {name: python_values(array)[0] for name, array in self._statics[path].items()}
+        return {name: value if isinstance(value, list) else [] for name, value in values.items()}
 
     def has_rows(self, entity: str) -> bool:
         """Return whether a Rerun entity has rows over time, not only static data."""

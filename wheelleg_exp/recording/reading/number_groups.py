@@ -120,47 +120,29 @@ def parts_of(path: str) -> list[str]:
 
 def table(rows: EntityRows, numbers: Sequence[Number]) -> pa.Table:
     """Return a table of timelines and recorded numbers, sorted by control step, in which a missing number is NaN."""
-    timeline = _timeline(rows, [n.entity for n in numbers])
-    columns = {name: pa.array(column) for name, column in timeline.columns.items()}
+    times, places = _timelines({entity: _times(rows, entity) for entity in dict.fromkeys(n.entity for n in numbers)})
+    columns = {name: pa.array(column) for name, column in times.items()}
     for number in numbers:
         name = number.name if number.name not in columns else f"{number.name}_"
-        columns[name] = pa.array(timeline.placed(number.entity, rows.matrix(number.entity)[:, number.index]))
+        values = rows.matrix(number.entity)[:, number.index]
+        if number.entity in places:
+            found = np.full(len(times[STEP]), np.nan)
+            found[places[number.entity]] = values
+            values = found
+        columns[name] = pa.array(values)
     return pa.table(columns)
 
 
-def matrix(rows: EntityRows, numbers: Sequence[Number]) -> NDArray[np.float64]:
-    """Return numbers as an array with a row per control step, a column per number, and NaN for each missing number."""
-    timeline = _timeline(rows, [n.entity for n in numbers])
-    return np.stack([timeline.placed(n.entity, rows.matrix(n.entity)[:, n.index]) for n in numbers], axis=1)
+def _timelines(own: dict[str, dict[str, Column]]) -> tuple[dict[str, Column], dict[str, NDArray[np.int64]]]:
+    """Return the timelines of all control steps at which any entity was recorded, and each entity's rows in them.
 
-
-@dataclass(frozen=True)
-class _Timeline:
-    """The control steps at which at least one of the requested Rerun entities was recorded.
-
-    ``columns`` contains the table columns ``step``, ``sim_time`` (s), and ``iteration``, as far as they were recorded.
-    ``rows`` maps each Rerun entity to the table rows that its values fill; None means all rows.
+    If the entities were recorded at the same control steps, the second mapping is empty.
     """
-
-    columns: dict[str, Column]
-    rows: dict[str, NDArray[np.int64] | None]
-
-    def placed(self, entity: str, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        rows = self.rows[entity]
-        if rows is None:
-            return values
-        found = np.full(len(next(iter(self.columns.values()))), np.nan)
-        found[rows] = values
-        return found
-
-
-def _timeline(rows: EntityRows, entities: Sequence[str]) -> _Timeline:
-    own = {entity: _times(rows, entity) for entity in dict.fromkeys(entities)}
     first = next(iter(own.values()))
     keys = {entity: times.get(STEP, np.arange(len(next(iter(times.values()))))) for entity, times in own.items()}
     same = next(iter(keys.values()))
     if all(np.array_equal(steps, same) for steps in keys.values()):
-        return _Timeline(first or {STEP: same}, dict.fromkeys(own))
+        return first, {}
     steps = np.unique(np.concatenate(list(keys.values())))
     places = {entity: np.searchsorted(steps, key) for entity, key in keys.items()}
     columns: dict[str, Column] = {STEP: steps}
@@ -169,7 +151,7 @@ def _timeline(rows: EntityRows, entities: Sequence[str]) -> _Timeline:
             columns[name] = np.empty_like(first[name], shape=len(steps))
             for entity, times in own.items():
                 columns[name][places[entity]] = times[name]
-    return _Timeline(columns, dict(places))
+    return columns, places
 
 
 def _times(rows: EntityRows, entity: str) -> dict[str, Column]:

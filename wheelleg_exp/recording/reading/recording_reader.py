@@ -16,7 +16,7 @@ from wheelleg_exp.errors import RunDirectoryError, nearest_name
 from wheelleg_exp.recording import layout
 from wheelleg_exp.recording.layout import BRANCH, DOCUMENTS, ITERATION, OWN, SIM_TIME, STEP
 from wheelleg_exp.recording.reading import number_groups
-from wheelleg_exp.recording.reading.arrow_values import LONGEST_TEXT, as_number, python_values
+from wheelleg_exp.recording.reading.arrow_values import LONGEST_TEXT, TIMELINES, as_number, python_values
 from wheelleg_exp.recording.reading.entity_rows import EntityRows
 from wheelleg_exp.recording.reading.number_groups import Number, NumberNames
 
@@ -107,7 +107,10 @@ class Recording(EntityRows):
         ``values`` raises RunDirectoryError if a requested entity has no numbers or has rows of different widths.
         """
         path = self._resolved(name, env_id)
-        return self.matrix(path) if self.has_rows(path) else number_groups.matrix(self, self._names.numbers_of(path))
+        if self.has_rows(path):
+            return self.matrix(path)
+        table = self.numbers(name, env_id)
+        return np.stack([np.asarray(table.column(n)) for n in table.column_names if n not in TIMELINES], axis=1)
 
     def names(self, name: str, env_id: int | None = None) -> list[str]:
         """Return the names of the numbers in an entity or a group such as ``rewards``; [] for numbers without names."""

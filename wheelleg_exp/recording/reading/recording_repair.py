@@ -7,8 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import for_people, temporary_name
+from wheelleg_exp.files import for_people, require_new, temporary_name
 from wheelleg_exp.recording.reading.recording_contents import Contents, Health, closed_copy
 
 
@@ -34,7 +33,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
     if health.is_whole:
         return Repaired(path, None, health)
     output = output or path.with_name(f"{path.stem}.repaired.rrd")
-    _require_free(output)
+    require_new(output)
     written = temporary_name(output)
     try:
         with closed_copy(path) as (closed, _), for_people(output):
@@ -43,13 +42,8 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             try:
                 os.link(written, output)  # A hard link, unlike a rename, never replaces an existing file.
             except FileExistsError:
-                _require_free(output)
+                require_new(output)
     finally:
         with suppress(OSError):
             written.unlink(missing_ok=True)
     return Repaired(path, output, health)
-
-
-def _require_free(output: Path) -> None:
-    if output.exists() or output.is_symlink():
-        raise RunDirectoryError(f"the file '{output}' exists and is not overwritten", expected="a free path (-o)")

@@ -14,10 +14,18 @@ from wheelleg_exp import __version__
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.recording.blueprint import EnvLayout
 from wheelleg_exp.recording.layout import FORMAT_VERSION, GROUND, EnvPaths, join
-from wheelleg_exp.recording.recording_options import Sample
 from wheelleg_exp.recording.writing import recorded_frames, rerun_shapes
-from wheelleg_exp.recording.writing.recorded_frames import Episodes, Frames, Stamp, velocity_command
-from wheelleg_exp.recording.writing.rerun_shapes import Columns, Contacts, Ground, VelocityArrows, geom_name, shape
+from wheelleg_exp.recording.writing.recorded_frames import Episodes, Frames, Sample, Stamp, velocity_command
+from wheelleg_exp.recording.writing.rerun_shapes import (
+    ANGLES,
+    Columns,
+    Contacts,
+    Ground,
+    VelocityArrows,
+    geom_name,
+    shape,
+    xyzw,
+)
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.scene_models import Kinematics, body_geoms, is_plane
 from wheelleg_exp.sim.sensors import ContactSensor
@@ -218,11 +226,20 @@ class RecordedEnvironment:
         """Yield the buffered frames as columns of Rerun entities."""
         blocks = self.frames.blocks()
         position, quaternion = self._solver.poses(blocks["qpos"])
-        angles = rerun_shapes.roll_pitch_yaw(quaternion[:, self._root])
-        blocks = {**blocks, "xpos": position - self._origin, "xquat": quaternion, "orientation": angles}
-        yield from rerun_shapes.scalars([c for c in self.frames.channels if c.entities], blocks)
-        yield from rerun_shapes.orientation(self.paths, blocks)
-        yield from rerun_shapes.transforms(self._bodies, blocks)
+        position, angles = position - self._origin, rerun_shapes.roll_pitch_yaw(quaternion[:, self._root])
+        blocks = {**blocks, "xpos": position, "orientation": angles}
+        for channel in self.frames.channels:
+            rows = blocks[channel.key]
+            if len(channel.entities) == 1:
+                yield channel.entities[0], rerun_shapes.vector_columns(rows)
+            else:
+                for entity, column in zip(channel.entities, rows.T, strict=False):
+                    yield entity, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+        for name, column in zip(ANGLES, angles.T, strict=True):
+            yield self.paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
+        for body, entity in self._bodies.items():
+            turn = xyzw(quaternion[:, body])
+            yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=turn)
         for contact in self._contacts:
             yield from contact.columns(self.paths, blocks)
         if self._velocity is not None:
@@ -267,7 +284,7 @@ class RecordedEnvironment:
             else:
                 for i, (entity, name) in enumerate(zip(channel.entities, channel.names, strict=False)):
                     yield entity, [series([name], first=i)]
-        for i, name in enumerate(rerun_shapes.ANGLES):
+        for i, name in enumerate(ANGLES):
             yield self.paths.data("base", name), [series([name], first=i)]
         for name in self._events:
             yield self.paths.data("events", name), [rr.SeriesPoints(names=[name], colors=[_EVENT], marker_sizes=[4.0])]

@@ -63,7 +63,6 @@ class EventLog:
                     self._lines[paths.data(layout.LOG, EVENTS)].append((stamp, f"env {env_id}: {name}", "INFO"))
 
     def say(self, text: str, level: str, stamp: Stamp) -> None:
-        """Log a message about the recording itself, such as that the recording reached its size limit."""
         self._lines[layout.join(layout.LOG, RECORDING)].append((stamp, text, level))
 
     def pieces(self) -> Iterator[Columns]:

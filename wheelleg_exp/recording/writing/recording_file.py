@@ -16,7 +16,7 @@ from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
 from wheelleg_exp.files import for_people, sync, temporary_name
 from wheelleg_exp.recording.layout import PROPERTIES, join
 from wheelleg_exp.recording.rerun_program import optimize_recording
-from wheelleg_exp.recording.rrd_file import encoded_blueprint, encoded_chunks, encoded_header
+from wheelleg_exp.recording.rrd_file import APPLICATION, chunk_file, temporary_file
 
 
 class RecordingFile:
@@ -47,7 +47,7 @@ class RecordingFile:
                 message = f"the recording '{self._written}' exists and is not overwritten"
                 raise RunDirectoryError(message, expected="a free path") from None
         self.is_open = True
-        self._write(encoded_header())
+        self._write(chunk_file([], "").header)
         self.static(PROPERTIES, rr.archetypes.RecordingInfo(name=name))
         self.flush()
 
@@ -96,9 +96,10 @@ class RecordingFile:
         blueprint, self._blueprint = self._blueprint, None
         with self._guarded():
             if chunks:
-                self._write(encoded_chunks(chunks, self._recording_id))
+                self._write(b"".join(chunk_file(chunks, self._recording_id).body()))
             if blueprint is not None:
-                self._write(encoded_blueprint(blueprint))
+                layout = blueprint.to_blueprint()
+                self._write(b"".join(temporary_file(lambda path: layout.save(APPLICATION, path)).body()))
 
     def close(self) -> None:
         """Close the recording's file, merge its small chunks, and write an index. A second call does nothing."""

@@ -10,7 +10,6 @@ import numpy as np
 import rerun as rr
 
 from wheelleg_exp.recording.layout import GROUND, EnvPaths
-from wheelleg_exp.recording.writing.recorded_frames import Channel
 from wheelleg_exp.rendering.render_scene import Array
 from wheelleg_exp.rendering.scene_models import colour, mesh
 from wheelleg_exp.sim.robot import Robot
@@ -95,34 +94,10 @@ Columns = tuple[str, rr.ComponentColumnList]
 Blocks = Mapping[str, Array]
 
 
-def scalars(channels: Sequence[Channel], blocks: Blocks) -> Iterator[Columns]:
-    """Yield the buffered numbers of each Rerun entity in the column format of Rerun's SDK."""
-    for channel in channels:
-        rows = blocks[channel.key]
-        if len(channel.entities) == 1:
-            yield channel.entities[0], vector_columns(rows)
-        else:
-            for entity, column in zip(channel.entities, rows.T, strict=False):
-                yield entity, rr.Scalars.columns(scalars=np.ascontiguousarray(column))
-
-
 def vector_columns(rows: Array) -> rr.ComponentColumnList:
     """Convert an array (n, width) to n vectors in the column format of Rerun's SDK."""
     flat = rr.Scalars.columns(scalars=np.ascontiguousarray(rows).ravel())
     return flat if rows.shape[1] == 1 else flat.partition([rows.shape[1]] * len(rows))
-
-
-def orientation(paths: EnvPaths, blocks: Blocks) -> Iterator[Columns]:
-    """Yield the base's roll, pitch, and yaw, rad, in the column format of Rerun's SDK."""
-    for name, column in zip(ANGLES, blocks["orientation"].T, strict=True):
-        yield paths.data("base", name), rr.Scalars.columns(scalars=np.ascontiguousarray(column))
-
-
-def transforms(bodies: Mapping[int, str], blocks: Blocks) -> Iterator[Columns]:
-    """Yield body poses in the column format of Rerun's SDK. ``bodies`` maps MuJoCo body ids to Rerun entity paths."""
-    position, quaternion = blocks["xpos"], blocks["xquat"]
-    for body, entity in bodies.items():
-        yield entity, rr.Transform3D.columns(translation=position[:, body], quaternion=xyzw(quaternion[:, body]))
 
 
 @dataclass(frozen=True)

@@ -63,9 +63,18 @@ class EarlierRecording:
         steps = np.asarray(batch.column(layout.STEP))
         if len(steps) and steps.max() > self._until:
             batch = batch.filter(pc.less_equal(batch.column(layout.STEP), self._until))
-        if len(batch):
-            self._note(entity, batch)
-            yield from Chunk.from_record_batch(batch)
+        if not len(batch):
+            return
+        if _SCALARS in batch.schema.names:
+            steps = np.asarray(batch.column(layout.STEP))
+            step = int(steps.max())
+            if (key := layout.key_below(layout.TRAINING, entity)) is not None:
+                self.keys += [] if key in self.keys else [key]
+            elif entity.endswith(("episode/number", "episode/step")):
+                self.steps[entity] += steps.tolist()
+                if step > self.last.get(entity, (-1, 0.0))[0]:
+                    self.last[entity] = (step, float(batch.column(_SCALARS)[int(steps.argmax())].as_py()[0]))
+        yield from Chunk.from_record_batch(batch)
 
     def _static(self, entity: str, batch: pa.RecordBatch) -> Iterator[Chunk]:
         name = layout.key_below(layout.DOCUMENTS, entity)
@@ -75,19 +84,7 @@ class EarlierRecording:
         elif entity == _PROPERTIES and {"started", "format_version"} <= {*batch.schema.names}:
             started, version = (python_values(batch.column(name))[-1] for name in ("started", "format_version"))
             if version == [layout.FORMAT_VERSION]:
-                self.started = str((started or [""])[0])
-
-    def _note(self, entity: str, batch: pa.RecordBatch) -> None:
-        if _SCALARS not in batch.schema.names:
-            return
-        steps = np.asarray(batch.column(layout.STEP))
-        step = int(steps.max())
-        if (key := layout.key_below(layout.TRAINING, entity)) is not None:
-            self.keys += [] if key in self.keys else [key]
-        elif entity.endswith(("episode/number", "episode/step")):
-            self.steps[entity] += steps.tolist()
-            if step > self.last.get(entity, (-1, 0.0))[0]:
-                self.last[entity] = (step, float(batch.column(_SCALARS)[int(steps.argmax())].as_py()[0]))
+                self.started = str(started[0]) if isinstance(started, list) and started else ""
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
