@@ -25,7 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import IO, Any, Literal, Required, TypedDict, TypeVar, cast
+from typing import IO, Literal, Required, TypedDict, TypeVar, cast
 
 from wheelleg_exp.errors import (
     EXIT_FAILED,
@@ -70,6 +70,8 @@ class Event(TypedDict, total=False):
 
 _READY = b"ready\n"
 _T = TypeVar("_T")
+_Order = TypeVar("_Order")
+_Request = TypeVar("_Request")
 _SET_PATH = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer)"
 _CHUNK = 1 << 16
 _WAIT_S = 0.2
@@ -113,7 +115,6 @@ class Child:
             self._input.flush()
 
     def ask_to_stop(self) -> None:
-        """Ask the job to stop after the current training iteration."""
         with contextlib.suppress(OSError):
             self._input.close()
 
@@ -122,11 +123,9 @@ class Child:
         self.process.send_signal(signal.SIGTERM)  # Use SIGTERM, because a shell's background job ignores SIGINT.
 
     def kill(self) -> None:
-        """Kill the child process in which the job runs."""
         self.process.kill()
 
     def over(self) -> bool:
-        """Return whether the child process of the job has ended."""
         return self.process.poll() is not None
 
     def close(self) -> None:
@@ -247,7 +246,6 @@ class EventPipe:
         self._file = FileIO(descriptor, "w", closefd=False)
 
     def send(self, event: str, **facts: object) -> None:
-        """Send one event."""
         line = json.dumps({"event": event, **facts}, default=float) + "\n"
         data = memoryview(line.encode())
         with contextlib.suppress(OSError):
@@ -343,7 +341,7 @@ class Worker:
         self._stdin.flush()
 
 
-def serve_requests(prepare: Callable[[Any], AbstractContextManager[Callable[[Any], bytes]]]) -> None:
+def serve_requests(prepare: Callable[[_Order], AbstractContextManager[Callable[[_Request], bytes]]]) -> None:
     """Answer, in a worker process, each request from standard input until the input ends.
 
     ``prepare`` gets the worker's startup data; its context manager yields the function that answers requests.

@@ -8,7 +8,10 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import torch
 
 EXIT_OK = 0
 EXIT_FINDING = 1
@@ -110,7 +113,9 @@ class SimulationFailure(WheellegError):
 
     exit_code = EXIT_FAILED
 
-    def __init__(self, message: str, *, evidence: Mapping[str, Any] | None = None, **fields: str | None) -> None:
+    def __init__(
+        self, message: str, *, evidence: Mapping[str, torch.Tensor] | None = None, **fields: str | None
+    ) -> None:
         super().__init__(message, **fields)
         self.evidence = dict(evidence or {})
 
@@ -121,11 +126,12 @@ class Interrupted(KeyboardInterrupt):
 
 def printable(text: str) -> str:
     """Escape the control characters in a text, because text from files could otherwise control the terminal."""
-    return _ODD.sub(lambda found: _escaped(found[0]), text)
 
+    def escaped(found: re.Match[str]) -> str:
+        is_shown = found[0].isprintable() or unicodedata.category(found[0]) in _SPACES
+        return found[0] if is_shown else ascii(found[0])[1:-1]
 
-def _escaped(letter: str) -> str:
-    return letter if letter.isprintable() or unicodedata.category(letter) in _SPACES else ascii(letter)[1:-1]
+    return _ODD.sub(escaped, text)
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:

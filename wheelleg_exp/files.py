@@ -193,7 +193,7 @@ def read_yaml(path: Path) -> Any:
         return yaml_value(data)
 
 
-def require_mapping(value: object, path: Path) -> dict[str, Any]:
+def require_mapping(value: object, path: Path) -> dict[str, object]:
     """Return a value that was read from the file ``path``; raise RunDirectoryError if the value is not a mapping."""
     if not isinstance(value, dict):
         message = f"the file contains a {type(value).__name__}, not a mapping"

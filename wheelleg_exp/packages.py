@@ -23,7 +23,6 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.paths import cache_dir
@@ -86,7 +85,6 @@ class Project:
 
     @property
     def configs(self) -> Path:
-        """The folder of its configs."""
         return self.root / CONFIGS
 
     def source(self, package: str) -> Path:
@@ -114,7 +112,7 @@ def read_project(folder: Path) -> Project | None:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"the file is not valid TOML: {error}", where=str(file)) from None
-    declared: Any = table
+    declared: object = table
     for key in ("project", "entry-points", ENTRY_POINT_GROUP):
         declared = declared.get(key) if isinstance(declared, Mapping) else None
     if not isinstance(declared, Mapping) or not declared:

@@ -81,8 +81,8 @@ def require_bounded(archive: ZipFile) -> None:
 
 
 class _PlainLoader(_Loader):
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen: set[Any] = set()
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, object]:
+        seen: set[object] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
                 raise Unreadable(f"the YAML key '{key.value}' is repeated", key.start_mark.line + 1)

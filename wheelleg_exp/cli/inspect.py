@@ -275,11 +275,12 @@ def _repair(args: argparse.Namespace, inspected: Inspected) -> Result:
 
 def _names(_args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.cli.printing.terminal import print_table
-    from wheelleg_exp.inspection.recorded_numbers import number_rows
 
-    rows = number_rows(inspected.recording, inspected.selection.env_id)
-    table = [(name, str(count)) for name, count in rows.items()]
-    document = [{"name": name, "rows": count} for name, count in rows.items()]
+    recording = inspected.recording
+    numbers = recording.all_numbers(inspected.selection.env_id)
+    rows = [(name, recording.count(number.entity)) for name, number in numbers.items()]
+    table = [(name, str(count)) for name, count in rows]
+    document = [{"name": name, "rows": count} for name, count in rows]
     return Result(document, lambda: print_table(("number", "rows"), table))
 
 

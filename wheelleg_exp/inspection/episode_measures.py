@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, Statistics, View, frames_for, statistics
+from wheelleg_exp.inspection.recorded_numbers import Frames, Moment, View, frames_for
 from wheelleg_exp.recording.reading.arrow_values import as_number
 
 FAILED, TIMED_OUT, UNFINISHED = "failed", "time out", "unfinished"
@@ -197,17 +197,14 @@ def tracking_errors(view: View) -> list[TrackingError]:
     return found
 
 
-def base_motion(view: View) -> dict[str, Statistics]:
-    """Return the statistics of the recorded height, roll, and pitch of the robot's base."""
-    present = [name for name in ("height", "roll", "pitch") if name in view.names("base")]
-    return {name: statistics(view.column("base", name), lambda row: view.moment("base", row)) for name in present}
-
-
 def force_extremes(view: View) -> list[ForceExtreme]:
     """Return statistics of the contact force on each body, for each contact sensor."""
-    names = view.names("contacts")
+    names, recording = view.names("contacts"), view.recording
+    branch = recording.branch(view.env_ids[0])
+    root = f"{branch}/contacts" if branch else "contacts"
+    entities = [e for e in recording.entities() if e.rpartition("/")[0] == root and "scalars" in recording.columns(e)]
     found = []
-    for sensor, body in _bodies(view):
+    for sensor, body in ((e.rpartition("/")[2], body) for e in entities for body in recording.names(e)):
         norms = view.column("contacts", f"{sensor}.{body}")
         peaks = view.column("contacts", f"{sensor}.peak.{body}") if f"{sensor}.peak.{body}" in names else norms
         if len(norms):
@@ -248,16 +245,6 @@ def reward_shares(view: View) -> list[RewardShare]:
         RewardShare(name, as_number(weights.get(name)), _mean(v), float(np.nansum(v)) * step_dt, shares[name])
         for name, v in rows.items()
     ]
-
-
-def _bodies(view: View) -> Iterator[tuple[str, str]]:
-    recording = view.recording
-    branch = recording.branch(view.env_ids[0])
-    root = f"{branch}/contacts" if branch else "contacts"
-    for entity in recording.entities():
-        above, _, sensor = entity.rpartition("/")
-        if above == root and "scalars" in recording.columns(entity):
-            yield from ((sensor, body) for body in recording.names(entity))
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:

@@ -120,21 +120,18 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
             # In a plot of push limits, the robot's forward direction is up, and the robot's left side is on the left.
             axes.plot(-limits * np.sin(angles), limits * np.cos(angles), color=colour(i), marker="o", ms=3, label=kind)
             largest = max(largest, float(np.nanmax(limits)))
-        _rings(axes, largest or 1.0)
+        largest = largest or 1.0
+        step = 10.0 ** math.floor(math.log10(largest))
+        step, turn = step if largest / step > 2 else step / 2, np.linspace(0.0, 2 * math.pi, 121)
+        for radius in np.arange(step, largest + step, step):
+            axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8, zorder=0)
+            axes.annotate(f"{radius:.2g}", (0.0, radius), color=MUTED, fontsize=8, ha="center", va="bottom")
+        axes.set_aspect("equal")
+        axes.grid(visible=False)
+        axes.set_axis_off()
         axes.legend(loc="lower left", title="kick (0 s) or pulse")
 
     return [Panel("Push that half survive, change of speed (m/s): forwards is up", draw, height=4.2, wide=True)]
-
-
-def _rings(axes: Axes, largest: float) -> None:
-    step = 10.0 ** math.floor(math.log10(largest))
-    step, turn = step if largest / step > 2 else step / 2, np.linspace(0.0, 2 * math.pi, 121)
-    for radius in np.arange(step, largest + step, step):
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=FAINT, linewidth=0.8, zorder=0)
-        axes.annotate(f"{radius:.2g}", (0.0, radius), color=MUTED, fontsize=8, ha="center", va="bottom")
-    axes.set_aspect("equal")
-    axes.grid(visible=False)
-    axes.set_axis_off()
 
 
 def _of_terrain(rows: Episodes) -> list[Panel]:

@@ -173,13 +173,21 @@ def _over_time(
         return None
 
     def draw(axes: Axes) -> None:
-        if source.is_training:
-            _draw_samples(axes, source, series, wanted)
-        else:
-            clock, ends = source.clock(), source.ends()
+        samples, ends = source.shown_samples() if source.is_training else [], source.ends()
+        for sample, shade in zip(samples, shades(len(samples)), strict=True):
+            part = sample.of(series)
+            if len(part.step):
+                (time, values), start = broken(part, ends), part.time[0]
+                name = f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
+                axes.plot(time - start, values, color=shade, label=name)
+                if wanted is not None:
+                    asked = sample.of(wanted)
+                    axes.plot(asked.time - start, asked.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
+        if not source.is_training:
+            clock = source.clock()
             for moment in () if clock is None else clock.time[np.isin(clock.step, ends)]:
                 axes.axvline(moment, color=FAILED, linewidth=0.8, alpha=0.5, gid="end")
-            axes.plot(*broken(series, source.ends()), color=BLUE, label="actual")
+            axes.plot(*broken(series, ends), color=BLUE, label="actual")
             if wanted is not None:
                 axes.plot(wanted.time, wanted.first, color=VERMILLION, linestyle=(0, (4, 2)), label="command")
         if target is not None:
@@ -190,19 +198,6 @@ def _over_time(
             axes.legend(loc="best")
 
     return Panel(f"{title} ({unit})", draw)
-
-
-def _draw_samples(axes: Axes, source: Source, series: Series, wanted: Series | None) -> None:
-    samples = source.shown_samples()
-    for sample, shade in zip(samples, shades(len(samples)), strict=True):
-        part = sample.of(series)
-        if len(part.step):
-            (time, values), start = broken(part, source.ends()), part.time[0]
-            label = f"step {sample.first}" if sample.iteration is None else f"iteration {sample.iteration}"
-            axes.plot(time - start, values, color=shade, label=label)
-            if wanted is not None:
-                asked = sample.of(wanted)
-                axes.plot(asked.time - start, asked.first, color=shade, linewidth=1.0, linestyle=(0, (4, 2)))
 
 
 def _last(source: Source, series: Series) -> Series:

@@ -96,7 +96,6 @@ class Source:
         return sorted(found, key=lambda name: order.index(name) if name in order else len(order))
 
     def children(self, root: str) -> list[str]:
-        """Return the names of the direct children of a Rerun entity."""
         head = f"{root}/"
         tails = (e.removeprefix(head) for e in self._entities if e.startswith(head))
         return list(dict.fromkeys(unescaped(tail.split("/")[0]) for tail in tails))

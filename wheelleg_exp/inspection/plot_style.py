@@ -144,7 +144,6 @@ def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float
 @styled()
 def page(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[float, float] | None = None) -> Figure:
     """Return a matplotlib figure with groups of panels, each with an optional title, from top to bottom."""
-    sections = [(title, _shown(panels)) for title, panels in sections]
     rows = [_rows(panels) for _, panels in sections]
     heights = [sum(max(p.height for p in row) for row in section) for section in rows]
     heights = [height + (0.35 if title else 0.0) for height, (title, _) in zip(heights, sections, strict=True)]
@@ -190,21 +189,16 @@ def figure_bytes(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _shown(panels: Sequence[Panel]) -> Sequence[Panel]:
-    """Return the first ``_MOST_PANELS`` plot panels, and a panel that states how many panels are omitted, if any."""
-    if len(panels) <= _MOST_PANELS:
-        return panels
-    beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
-    return [*panels[:_MOST_PANELS], Panel(beyond, lambda axes: axes.set_axis_off(), height=0.4, wide=True)]
-
-
 def _rows(panels: Sequence[Panel]) -> list[list[Panel]]:
     rows: list[list[Panel]] = []
-    for panel in panels:
+    for panel in panels[:_MOST_PANELS]:
         if rows and len(rows[-1]) < _COLUMNS and not panel.wide and not rows[-1][-1].wide:
             rows[-1].append(panel)
         else:
             rows.append([panel])
+    if len(panels) > _MOST_PANELS:
+        beyond = f"… and {len(panels) - _MOST_PANELS} more, which --term draws one by one"
+        rows.append([Panel(beyond, lambda axes: axes.set_axis_off(), height=0.4, wide=True)])
     return rows
 
 

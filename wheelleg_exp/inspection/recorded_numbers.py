@@ -106,7 +106,6 @@ class Frames:
         return Moment(step, time, iteration, self.env_id)
 
     def filter(self, mask: NDArray[np.bool_]) -> Frames:
-        """Return only those recorded frames whose element in the boolean array ``mask`` is true."""
         return Frames(self.table.filter(pa.array(mask)), self.env_id)
 
 
@@ -147,7 +146,6 @@ class View:
         raise IndexError(row)
 
     def static(self, path: str) -> dict[str, list[object]]:
-        """Return a Rerun entity's static data (data without time) in the first selected environment."""
         branch = self.recording.branch(self.env_ids[0])
         return self.recording.static(f"{branch}/{path}" if branch else path)
 
@@ -195,11 +193,6 @@ def frames_for(recording: Recording, names: Iterable[str], selection: Selection,
 def is_of_env(number: Number) -> bool:
     """Return whether a recorded number belongs to one environment of a recording with several environments."""
     return BRANCH.match(number.entity) is not None
-
-
-def number_rows(recording: Recording, env_id: int | None) -> dict[str, int]:
-    """Return how many rows each number of an environment has, and each number that all environments share, by name."""
-    return {name: recording.count(number.entity) for name, number in recording.all_numbers(env_id).items()}
 
 
 def units(recording: Recording, names: Iterable[str], env_id: int | None = None) -> dict[str, str]:

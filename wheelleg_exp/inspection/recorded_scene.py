@@ -134,7 +134,14 @@ def scene_of(source: Source) -> Scene:
         raise RunDirectoryError(message, expected="a recording of at least one whole step")
     offset = _at(source.recording.static(f"{GROUND}/terrain"), ("translation",), 0, (0.0, 0.0, 0.0))
     terrain = [moved(shape, offset) for shape in _shapes_below(source, f"{GROUND}/terrain")]
-    return Scene(bodies, terrain, _ground(source), _root(source, list(bodies)), _size(source, bodies))
+    # The tile of the checkered ground is the edge between the first two corners of the recorded mesh.
+    corners = np.asarray(source.recording.static(GROUND).get("vertex_positions") or [], dtype=np.float64)
+    ground = None
+    if len(corners) > 1 and source.recording.has_rows(GROUND) and "translation" in source.recording.columns(GROUND):
+        height = float(_vectors(source.recording.table(GROUND), "translation", 3)[-1, 2])
+        tile = float(np.linalg.norm(corners[1] - corners[0]))
+        ground = Ground(height, tile) if abs(height) < FAR and 0.0 < tile < FAR else None
+    return Scene(bodies, terrain, ground, _root(source, list(bodies)), _size(source, bodies))
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
@@ -209,16 +216,6 @@ def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
             statics, archetypes = source.recording.static(entity), source.recording.archetypes(entity)
             shapes = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
             yield from filter(_is_drawable, shapes)
-
-
-def _ground(source: Source) -> Ground | None:
-    vertices = np.asarray(source.recording.static(GROUND).get("vertex_positions") or [], dtype=np.float64)
-    table = source.recording.table(GROUND) if source.recording.has_rows(GROUND) else None
-    if len(vertices) < 2 or table is None or "translation" not in table.column_names:
-        return None
-    height = float(_vectors(table, "translation", 3)[-1, 2])
-    tile = float(np.linalg.norm(vertices[1] - vertices[0]))
-    return Ground(height, tile) if abs(height) < FAR and 0.0 < tile < FAR else None
 
 
 def _arrows(source: Source, step: NDArray[np.int64]) -> list[Arrows]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.inspection import episode_measures as measures
 from wheelleg_exp.inspection.episode_measures import Episode, episodes, whole
-from wheelleg_exp.inspection.recorded_numbers import Statistics, View
+from wheelleg_exp.inspection.recorded_numbers import Statistics, View, statistics
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.recording.layout import BRANCH, ITERATION, TRAINING, key_below, unescaped
 from wheelleg_exp.recording.reading.recording_contents import Health
@@ -191,18 +192,15 @@ class Summary:
         return {**asdict(self), "health": self.health.as_dict()}
 
 
+@np.errstate(all="ignore")  # Suppress numpy's warnings about NaN and inf in a recording.
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
     """Return the summary of a recording; data that was not recorded is None or an empty list.
 
     ``selection`` selects the rows of the recording that the statistics cover. By default, training scalars cover the
     whole training; motion statistics cover only its last recorded interval (``Summary.sample``).
     """
-    with np.errstate(all="ignore"):  # Suppress numpy's warnings about NaN and inf in a recording.
-        return _summary(View(recording, selection or Selection()))
-
-
-def _summary(chosen: View) -> Summary:
-    recording, found = chosen.recording, episodes(chosen)
+    chosen = View(recording, selection or Selection())
+    found = episodes(chosen)
     longest = recording.properties.get("wheelleg", {}).get("max_episode_length")
     samples = sample_episodes(found, longest if isinstance(longest, int) else 1)
     sample, view, shown = None, chosen, found
@@ -212,6 +210,10 @@ def _summary(chosen: View) -> Summary:
         begin, end = Length(float(first), True), Length(float(last), True)
         view = View(recording, replace(chosen.selection, begin=begin, end=end))
         shown = [episode for episode in found if first <= episode.first_step and episode.last_step <= last]
+    base = [name for name in ("height", "roll", "pitch") if name in view.names("base")]
+    parts: dict[str, list[int]] = {}
+    for entity in recording.entities():
+        parts.setdefault(unescaped(BRANCH.sub("", entity).split("/")[0]), []).append(recording.count(entity))
     return Summary(
         path=str(recording.path),
         recording_id=recording.recording_id,
@@ -222,13 +224,13 @@ def _summary(chosen: View) -> Summary:
         sample=sample,
         step_dt=recording.step_dt,
         timelines={name: Span(*r) for name in recording.timelines() if (r := recording.reach(name)) is not None},
-        parts=_parts(recording),
+        parts=[Part(name, len(counts), sum(counts)) for name, counts in parts.items()],
         notes=recording.events("recording"),
         frames=_frames(view),
         figures=episode_figures(shown),
         episodes=found,
         tracking=measures.tracking_errors(view),
-        base=measures.base_motion(view),
+        base={n: statistics(view.column("base", n), partial(view.moment, "base")) for n in base},
         forces=measures.force_extremes(view),
         efforts=measures.effort_use(view),
         rewards=measures.reward_shares(view),
@@ -265,10 +267,3 @@ def _frames(view: View) -> tuple[int, int] | None:
             every = View(view.recording)
             return sum(map(len, found)), sum(len(every.frames(group, frames.env_id or 0) or ()) for frames in found)
     return None
-
-
-def _parts(recording: Recording) -> list[Part]:
-    rows: dict[str, list[int]] = {}
-    for entity in recording.entities():
-        rows.setdefault(unescaped(BRANCH.sub("", entity).split("/")[0]), []).append(recording.count(entity))
-    return [Part(name, len(counts), sum(counts)) for name, counts in rows.items()]

@@ -40,7 +40,6 @@ class Target:
         return RunLock(self.run)
 
     def others(self) -> list[Path]:
-        """Return the paths of all recordings of the same run except this recording."""
         found = recordings_of(self.run) if self.run is not None else []
         return [path for path in found if path.resolve() != self.path.resolve()]
 

@@ -19,11 +19,10 @@ import warnings
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Self, cast
+from typing import IO, TYPE_CHECKING, Self, cast
 from urllib.parse import quote, urlsplit
 
 from wheelleg_exp.child_process import running_program
@@ -94,9 +93,9 @@ class WebViewer(ThreadingHTTPServer):
     def __init__(self, path: Path, port: int = 0) -> None:
         if not Path(path).is_file():
             raise RunDirectoryError(f"the recording '{path}' does not exist", expected="a Rerun recording")
-        files = viewer_files()
+        self.recording, self.files = Path(path), viewer_files()
         try:
-            super().__init__((LOOPBACK, port), partial(_Handler, files, Path(path)))
+            super().__init__((LOOPBACK, port), _Handler)
         except (OSError, OverflowError) as error:
             message = f"cannot listen on port {port}: {error}"
             raise WheellegError(message, key="--port", expected="a free port, or none") from error
@@ -150,10 +149,6 @@ def _fetched(port: int, name: str) -> tuple[str, bytes]:
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
-    def __init__(self, files: Files, recording: Path, *args: Any) -> None:
-        self._files, self._recording = files, recording
-        super().__init__(*args)
-
     def do_GET(self) -> None:
         self._answer(with_body=True)
 
@@ -164,8 +159,8 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
     def _answer(self, *, with_body: bool) -> None:
-        _, port = cast("tuple[str, int]", self.server.server_address)
-        if self.headers.get("Host") not in (f"{LOOPBACK}:{port}", f"localhost:{port}"):
+        server = cast(WebViewer, self.server)
+        if self.headers.get("Host") not in (f"{LOOPBACK}:{server.port}", f"localhost:{server.port}"):
             self._reply(HTTPStatus.FORBIDDEN)  # Reject host names except loopback names, to prevent DNS rebinding.
             return
         address, ok = urlsplit(self.path), HTTPStatus.OK
@@ -174,8 +169,8 @@ class _Handler(BaseHTTPRequestHandler):
             page = f"http://{self.headers['Host']}/"
             query = f"url={quote(page.rstrip('/') + RECORDING, safe='')}&hide_welcome_screen=1&persist=0"
             self._reply(HTTPStatus.FOUND, {"Location": f"{page}?{query}"})
-        elif address.path == RECORDING and self._recording.is_file():
-            with self._recording.open("rb") as file, suppress(ConnectionError):
+        elif address.path == RECORDING and server.recording.is_file():
+            with server.recording.open("rb") as file, suppress(ConnectionError):
                 # Send only the file's present bytes, because a training can append to the file during the transfer.
                 left = file.seek(0, 2)
                 file.seek(0)
@@ -183,8 +178,8 @@ class _Handler(BaseHTTPRequestHandler):
                 while with_body and left and (piece := file.read(min(_PIECE, left))):
                     self.wfile.write(piece)
                     left -= len(piece)
-        elif address.path in self._files:
-            kind, body = self._files[address.path]
+        elif address.path in server.files:
+            kind, body = server.files[address.path]
             self._reply(ok, {"Content-Type": kind, **_HEADERS}, len(body))
             if with_body:
                 self.wfile.write(body)

@@ -43,12 +43,6 @@ def require_picture(path: Path) -> None:
 def write_picture(robot: CompiledRobot, path: Path) -> None:
     """Write a picture of a robot atomically, with a view from the side and a view from the front."""
     require_picture(path)
-    buffer = io.BytesIO()
-    Image.fromarray(_drawn(robot)).save(buffer, "PNG", optimize=True)
-    write_new(path, buffer.getvalue())
-
-
-def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
     size = robot.anatomy.size
     scene = Scene({"robot": [*_colliders(robot), *_marks(robot)]}, (), Ground(0.0, size / 4), 0, size)
     place, upright = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
@@ -66,7 +60,10 @@ def _drawn(robot: CompiledRobot) -> NDArray[np.uint8]:
             image = Image.fromarray(process.draw(view)).resize((_WIDTH, _HEIGHT), Image.Resampling.LANCZOS)
             pictures.append(np.asarray(image))
     legend = {"centre of mass": _MASS, "support": _SUPPORT, "contacts": _CONTACT, "inside another body": _INSIDE}
-    return recorded_scene.write_caption(np.hstack(pictures), ["from the right; from ahead"], legend)
+    drawn = recorded_scene.write_caption(np.hstack(pictures), ["from the right; from ahead"], legend)
+    buffer = io.BytesIO()
+    Image.fromarray(drawn).save(buffer, "PNG", optimize=True)
+    write_new(path, buffer.getvalue())
 
 
 def _colliders(robot: CompiledRobot) -> list[Shape]:

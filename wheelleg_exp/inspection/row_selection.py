@@ -62,7 +62,6 @@ class Selection:
 
     @property
     def is_all(self) -> bool:
-        """Whether all rows of a recording are selected, because no attribute restricts the selection."""
         return self == Selection()
 
     def env_ids(self, recording: Recording) -> list[int]:

@@ -33,7 +33,6 @@ class Subject:
 
     @property
     def facts(self) -> RunRecord:
-        """The manifest's content."""
         return self.manifest.facts
 
     @property
@@ -82,7 +81,6 @@ class Check:
         return "note" if self.notes else "ok"
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the result of one check of a run."""
         head = f"{self.name:<12}{self.state:<12}{self.skipped or self.text}".rstrip()
         return [head, *(f"  {line}" for line in cut(self.failures)), *(f"  note: {line}" for line in cut(self.notes))]
 
@@ -97,7 +95,6 @@ class RunFindings:
 
     @property
     def is_sound(self) -> bool:
-        """True if none of the run's checks failed."""
         return not any(check.failures for check in self.checks)
 
     @property
@@ -106,12 +103,10 @@ class RunFindings:
         return "sound" if self.is_sound else "damaged"
 
     def as_dict(self) -> dict[str, object]:
-        """Return the results of all checks of a run as a JSON document."""
         checks = [{"state": check.state, **asdict(check)} for check in self.checks]
         return {"verdict": self.verdict, "run": str(self.path), "status": self.status, "checks": checks}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the checks of a run; the last line states whether a check failed."""
         lines = [f"{self.path.parent.name}/{self.path.name}  {self.status}", ""]
         lines += [line for check in self.checks for line in check.lines()]
         failed = [check.name for check in self.checks if check.failures]

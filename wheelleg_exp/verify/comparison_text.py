@@ -29,7 +29,6 @@ class Divergence:
         return {key: value for key, value in asdict(self).items() if key not in ("text", "more")}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that describe the first difference between two runs."""
         place = "" if self.iteration is None else f"iteration {self.iteration}: "
         return [f"first difference: {place}{self.text}", *self.more]
 

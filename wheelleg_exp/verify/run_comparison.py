@@ -42,7 +42,6 @@ class Comparison:
     tolerance: Tolerance | None = None  # None unless a cause such as another CPU can explain unequal numbers.
 
     def as_dict(self) -> dict[str, object]:
-        """Return the comparison of two runs as a JSON document."""
         environment: dict[str, list[dict[str, object]]] = {}
         for d in self.environment:
             note = {"note": d.note} if d.note else {}
@@ -61,7 +60,6 @@ class Comparison:
         }
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the comparison of two runs; the last line states the result."""
         sides = (("A", self.a), ("B", self.b))
         lines = [f"{name}  {run.label}  {run.status}, {len(run.log.lines)} iterations" for name, run in sides]
         lines += ["", *(f"{name:<12}{found.state:<14}{found.text}" for name, found in self.parts.items())]

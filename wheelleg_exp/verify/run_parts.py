@@ -27,11 +27,9 @@ class Measured(Subject):
 
     @property
     def label(self) -> str:
-        """The name of a compared run: its task and its id."""
         return f"{self.run.path.parent.name}/{self.run.id}"
 
     def as_dict(self) -> dict[str, object]:
-        """Return the run's path, status, number of iterations, and problems as a JSON document."""
         facts = {"run": str(self.run.path), "status": self.status, "iterations": len(self.log.lines)}
         return {**facts, "problems": [f"{name} {what}" for name, what in self.damage.items()]}
 
@@ -95,7 +93,6 @@ class Part:
     details: Mapping[str, object] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
-        """Return the comparison of, for example, the scalars of two runs as a JSON document."""
         return {"state": self.state, "text": self.text, **self.details}
 
 

@@ -48,7 +48,6 @@ class Excess:
 
     @property
     def within(self) -> bool:
-        """True if the deviation is at most the allowed deviation."""
         return self.off <= self.allowed
 
     @property
@@ -73,7 +72,6 @@ class Tolerance:
 
     @property
     def within(self) -> bool:
-        """True if all deviations between the two runs could be measured and are allowed."""
         return not self.unknown and all(excess.within for excess in (*self.start, *self.end))
 
     def summary(self) -> str:
@@ -85,12 +83,10 @@ class Tolerance:
         return f"they first differ in iteration {worst.iteration} by at most {worst.off:.1e} ({worst.name}){alike}"
 
     def as_dict(self) -> dict[str, object]:
-        """Return the deviations between two runs as a JSON document."""
         rows = {side: [asdict(e) | {"within": e.within} for e in getattr(self, side)] for side in ("start", "end")}
         return {"within": self.within, **rows, "note": self.note}
 
     def lines(self) -> list[str]:
-        """Return the lines of text that report the deviations between two training runs."""
         lines = []
         for x in self.start:
             values = "" if math.isnan(x.a) else f" (A {x.a:.9g}, B {x.b:.9g})"
