@@ -144,10 +144,7 @@ def current_project() -> Project | None:
 
 
 def _require_own(project: Project) -> None:
-    """Raise ConfigError if a project above the current folder belongs to a different user of the computer.
-
-    As in git, the current folder is not trusted merely because the user works in it.
-    """
+    # As in git, a project above the current folder is not trusted merely because the user works in the folder.
     owners = {path.stat().st_uid for path in (project.root, project.root / FILE)}
     if not owners <= {os.getuid(), _ROOT}:
         message = "this folder is in a project of another user, whose code and configs are used only on request"

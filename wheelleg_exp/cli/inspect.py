@@ -167,8 +167,7 @@ def _against(args: argparse.Namespace) -> int:
 
     report = compare_with_run(Path(args.recording), RunDirectory.open(args.against, args.root))
     if args.plot is not None:
-        from wheelleg_exp.inspection.log_plots import log_figure
-        from wheelleg_exp.inspection.recording_plots import save
+        from wheelleg_exp.inspection.recording_plots import log_figure, save
 
         save(log_figure(report), args.plot)
     if args.json:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from wheelleg_exp.inspection.recorded_numbers import Statistics, statistics
 from wheelleg_exp.recording.layout import SIM_TIME, STEP
-from wheelleg_exp.recording.reading.number_groups import Number
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
-from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Number, Recording
 
 
 @dataclass(frozen=True)

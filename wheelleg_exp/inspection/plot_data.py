@@ -16,8 +16,7 @@ from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.plain_data import Unreadable, yaml_value
 from wheelleg_exp.recording.layout import ITERATION, SIM_TIME, STEP, TRAINING, join, unescaped
 from wheelleg_exp.recording.reading.arrow_values import as_number
-from wheelleg_exp.recording.reading.number_groups import is_numeric, parts_of
-from wheelleg_exp.recording.reading.recording_reader import Recording
+from wheelleg_exp.recording.reading.recording_reader import Recording, parts_of
 
 Numbers = NDArray[np.float64]
 Points = tuple[Sequence[int] | NDArray[np.int64], Sequence[float] | Numbers]  # iterations and values of a curve
@@ -131,14 +130,14 @@ class Source:
     def maybe(self, *parts: str) -> Series | None:
         """Return the selected rows of a Rerun entity's numbers; None if no selected row contains such numbers."""
         entity = self.path(*parts)
-        found = self._series(entity) if is_numeric(self.recording, entity) else None
+        found = self._series(entity) if self.recording.is_numeric(entity) else None
         return found if found is not None and found.values.size else None
 
     def training(self) -> dict[str, Points]:
         """Return each training scalar's iterations and values as a dictionary with keys such as ``Loss/value``."""
         head = f"{TRAINING}/"
         found: dict[str, Points] = {}
-        numeric = (e for e in self._entities if e.startswith(head) and is_numeric(self.recording, e))
+        numeric = (e for e in self._entities if e.startswith(head) and self.recording.is_numeric(e))
         for entity in numeric:
             series = self._series(entity)
             if series.values.size:

@@ -16,8 +16,7 @@ from wheelleg_exp.errors import WheellegError, nearest_name
 from wheelleg_exp.inspection.row_selection import Selection, nothing_chosen
 from wheelleg_exp.recording.layout import BRANCH, STEP, unit
 from wheelleg_exp.recording.reading.arrow_values import TIMELINES
-from wheelleg_exp.recording.reading.number_groups import Number
-from wheelleg_exp.recording.reading.recording_reader import Event, Recording
+from wheelleg_exp.recording.reading.recording_reader import Event, Number, Recording
 
 QUANTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 

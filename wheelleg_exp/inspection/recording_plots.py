@@ -1,4 +1,4 @@
-"""Plots of recordings: single plots by name, pages of plots, and overlays of several recordings.
+"""Plots of recordings and robot logs: single plots by name, pages of plots, and overlays of several recordings.
 
 Plots use no global state of matplotlib and need no display. Figures are matplotlib ``Figure`` objects.
 """
@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -20,7 +21,7 @@ from wheelleg_exp.files import require_new, write_new
 from wheelleg_exp.inspection import motion_plots as plots_motion
 from wheelleg_exp.inspection import training_curves as plots_training
 from wheelleg_exp.inspection.plot_data import Source, broken
-from wheelleg_exp.inspection.plot_style import Panel, colour, figure_bytes, page, tile
+from wheelleg_exp.inspection.plot_style import BLUE, GREY, VERMILLION, Panel, colour, figure_bytes, page, tile
 from wheelleg_exp.inspection.row_selection import Selection
 from wheelleg_exp.recording.layout import TRAINING
 from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -28,7 +29,10 @@ from wheelleg_exp.recording.reading.recording_reader import Recording
 if TYPE_CHECKING:
     from matplotlib.typing import LineStyleType
 
+    from wheelleg_exp.robot_logs.log_comparison import LogReport
+
 KINDS = ("png", "svg", "pdf")
+_LOG_S = 3.0  # A plot of a robot's log shows its first 3 s.
 _STYLES: tuple[LineStyleType, ...] = ("-", (0, (4, 3)), "-.", ":")
 
 
@@ -131,6 +135,27 @@ def overlay(
     if not panels:
         raise RunDirectoryError("the recordings contain neither training curves nor motions to plot")
     return tile(panels)
+
+
+def log_figure(report: LogReport) -> Figure:
+    """Return a figure of the columns that the findings name, or of all columns, in the first seconds of the log."""
+    named = [column for finding in report.findings for column in finding.columns if column in report.columns]
+    time = report.time - report.time[:1].sum()
+    rows = time <= _LOG_S
+
+    def draw(column: str, axes: Axes) -> None:
+        for values, shade, label in (
+            (report.logged, GREY, "logged"),
+            (report.simulated, VERMILLION, "simulated from the log"),
+            (report.corrected, BLUE, "simulated without the faults"),
+        ):
+            drawn = np.asarray(values)[rows, report.columns.index(column)]
+            axes.plot(time[rows], drawn, color=shade, label=label, marker=".", linestyle="none")
+        axes.set_xlabel("time (s)")
+        axes.legend(loc="best")
+
+    columns = list(dict.fromkeys(named)) or report.columns
+    return tile([Panel(column, partial(draw, column)) for column in columns], title="Log and simulation")
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -73,10 +73,7 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
 
 
 def names_a_run(word: str | Path) -> bool:
-    """Return whether a command-line argument names a run.
-
-    A command-line argument that is not a path is treated as the id of a run.
-    """
+    """Return whether a command-line argument names a run; an argument that is not a path is treated as a run's id."""
     path = Path(word)
     return not path.exists() or (path.is_dir() and (path / MANIFEST_NAME).is_file())
 

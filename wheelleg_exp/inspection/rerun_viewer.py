@@ -126,24 +126,20 @@ def viewer_files() -> Files:
     """Return the content and MIME type of each file of Rerun's web viewer, by URL path."""
     port, grpc = free_port(), free_port()
     arguments = ["--serve-web", "--port", str(grpc), "--web-viewer-port", str(port)]
+    opener, found = urllib.request.build_opener(urllib.request.ProxyHandler({})), dict[str, tuple[str, bytes]]()
     with viewer(arguments) as (process, output):
         end = time.monotonic() + _WEB_START_S
-        while True:
+        while len(found) < len(_FILES):
             try:
-                return {f"/{name}": _fetched(port, name) for name in _FILES}
+                for name in _FILES:
+                    with opener.open(f"http://{LOOPBACK}:{port}/{name}", timeout=_WEB_START_S) as answer:
+                        found[f"/{name}"] = (answer.headers.get_content_type(), answer.read())
             except OSError as error:
                 if process.poll() is not None or time.monotonic() > end:
                     raise SimulationFailure(f"Rerun's web viewer does not start: {failure_line(output)}") from error
                 time.sleep(0.05)
-
-
-def _fetched(port: int, name: str) -> tuple[str, bytes]:
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    with opener.open(f"http://{LOOPBACK}:{port}/{name}", timeout=_WEB_START_S) as answer:
-        kind, body = answer.headers.get_content_type(), answer.read()
-    if not name:
-        body = _ELSEWHERE.sub("", body.decode()).encode()
-    return kind, body
+    kind, page = found["/"]
+    return {**found, "/": (kind, _ELSEWHERE.sub("", page.decode()).encode())}
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -162,13 +162,6 @@ def _of_play(subject: Subject, figures: Mapping[str, object]) -> Iterator[Card]:
         lean = figures.get("pitch_mean_deg")
         note = f"; mean lean {number(lean, 2)}°" if is_number(lean) else ""
         yield Card("Pitch", number(figures["pitch_rms_deg"], 2), "°", f"RMS {when}{note}")
-    yield from _of_motion(figures, when)
-    if is_number(figures.get("mean_return")):
-        note = f"mean of {counted(episodes, 'ended episode')}" if episodes else "mean of an episode"
-        yield Card("Return", number(figures["mean_return"]), "", note)
-
-
-def _of_motion(figures: Mapping[str, object], when: str) -> Iterator[Card]:
     turned, drift = figures.get("yaw_drift_deg"), figures.get("drift_m")
     if is_number(drift):
         note = f"; turned by {number(turned, 2)}°" if is_number(turned) else ""
@@ -183,6 +176,9 @@ def _of_motion(figures: Mapping[str, object], when: str) -> Iterator[Card]:
         yield Card("Action rate", number(figures["action_rate_per_s"], 2), "/s", f"mean change of an action {when}")
     if is_number(figures.get("power_net_w")):
         yield Card("Power", number(figures["power_net_w"], 2), "W", f"mechanical, net of armature, mean {when}")
+    if is_number(figures.get("mean_return")):
+        note = f"mean of {counted(episodes, 'ended episode')}" if episodes else "mean of an episode"
+        yield Card("Return", number(figures["mean_return"]), "", note)
 
 
 def _by_group(figures: Mapping[str, object], key: str) -> Mapping[str, object]:

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.inspection.plot_data import Sample, Series, Source
+from wheelleg_exp.inspection.plot_data import Sample, Source
 from wheelleg_exp.inspection.recording_pictures import Scenery, pictures, row_at, scenery
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.report import performance_section as standing
@@ -176,17 +176,15 @@ def _episodes(source: Source, sample: Sample) -> list[Episode]:
     lasts = [int(step) for step in source.ends() if sample.first <= step <= sample.last]
     lasts += [] if lasts and lasts[-1] == sample.last else [sample.last]
     firsts = [sample.first, *(step + 1 for step in lasts[:-1])]
-    found = [rows.rows((rows.step >= a) & (rows.step <= b)) for a, b in zip(firsts, lasts, strict=True)]
-    return [_episode(source, episode) for episode in found if len(episode.step)]
-
-
-def _episode(source: Source, rows: Series) -> Episode:
-    last, time = int(rows.step[-1]), rows.time
-    causes = [name for name, series in source.fired().items() if bool(series.first[series.step == last].any())]
-    step_s = float(time[1] - time[0]) if len(time) > 1 else 0.0
-    age = source.maybe("episode", "step")
-    begins = age is None or bool((age.first[age.step == int(rows.step[0])] == 1).any())
-    return Episode(float(time[0]), float(time[-1]), step_s, tuple(causes), begins and bool(causes))
+    fired, age, found = source.fired(), source.maybe("episode", "step"), []
+    for own in (rows.rows((rows.step >= a) & (rows.step <= b)) for a, b in zip(firsts, lasts, strict=True)):
+        if len(own.step):
+            last, time = int(own.step[-1]), own.time
+            causes = [name for name, series in fired.items() if bool(series.first[series.step == last].any())]
+            step_s = float(time[1] - time[0]) if len(time) > 1 else 0.0
+            begins = age is None or bool((age.first[age.step == int(own.step[0])] == 1).any())
+            found.append(Episode(float(time[0]), float(time[-1]), step_s, tuple(causes), begins and bool(causes)))
+    return found
 
 
 def _title(label: str, sample: Sample, episode: Episode, whose: str, *, is_play: bool) -> str:

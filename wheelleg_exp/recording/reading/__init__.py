@@ -2,8 +2,7 @@
 
 | module | offers |
 |---|---|
-| ``recording_reader`` | ``Recording``: tables, names, events, documents, properties |
-| ``number_groups``, ``entity_rows`` | numbers by name and in groups, and the rows of an entity |
+| ``recording_reader`` | ``Recording``: rows, numbers by name and in groups, events, documents, properties |
 | ``recording_contents``, ``arrow_values`` | the rows of a file, and Arrow values as Python values |
 | ``recording_digest`` | a digest of the content |
 | ``recording_repair`` | a readable copy of a damaged file |
