@@ -235,10 +235,7 @@ def _end(child: Child, act: Callable[[], None], patience_s: float) -> None:
 
 
 class EventPipe:
-    """A pipe that sends a job's events to the parent process, and drops the events if the parent process has died.
-
-    If a stop request arrives after ``reached`` has become true (all work is done), the job counts as finished.
-    """
+    """Sends a job's events to the parent; after ``reached`` is true, a stop request does not interrupt the job."""
 
     reached = False
 
@@ -342,10 +339,7 @@ class Worker:
 
 
 def serve_requests(prepare: Callable[[_Order], AbstractContextManager[Callable[[_Request], bytes]]]) -> None:
-    """Answer, in a worker process, each request from standard input until the input ends.
-
-    ``prepare`` gets the worker's startup data; its context manager yields the function that answers requests.
-    """
+    """Answer requests from standard input until it ends; ``prepare`` yields the function that answers."""
     source, target = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Libraries must print to standard error, because standard output carries the answers to requests.
     with prepare(pickle.load(source)) as answer:

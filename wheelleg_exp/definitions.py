@@ -36,10 +36,7 @@ class Definition:
 
 
 def ending(terms: Iterable[str]) -> str:
-    """Return the names of the termination terms that ended an episode as one text, joined by "and".
-
-    An episode without a true termination term ended because a reward or a state was not finite.
-    """
+    """Return the names of the terms that ended an episode; without one, a reward or a state was not finite."""
     return " and ".join(terms) or NOT_FINITE
 
 

@@ -137,10 +137,7 @@ _chosen: set[str] = set()  # set by this program
 
 
 def prepare_threads() -> bool:
-    """Set the environment variables ``VARIABLES`` that the user has not set; respect a user's OMP_WAIT_POLICY.
-
-    Return False if torch was imported too early, because environment variables that are set later have no effect.
-    """
+    """Set the unset variables of ``VARIABLES``; return False if they have no effect because torch was imported."""
     missing = [name for name in VARIABLES if name not in os.environ]
     if "OMP_WAIT_POLICY" not in missing and "GOMP_SPINCOUNT" in missing:
         missing.remove("GOMP_SPINCOUNT")  # Respect the user's OMP_WAIT_POLICY, which defines how idle threads wait.
@@ -156,20 +153,14 @@ def share_cores() -> None:
 
 
 def keep_kernels(recorded: Mapping[str, str]) -> None:
-    """Use the MKL code path recorded with a run, unless this CPU lacks the path or the user has chosen a path.
-
-    Call ``keep_kernels`` before the first use of MKL, for example before the import of tensordict.
-    """
+    """Use a run's recorded MKL code path before the first use of MKL, unless the CPU lacks it or the user chose one."""
     kernels = recorded.get("MKL_CBWR")
     if "MKL_CBWR" in _chosen and kernels in (PORTABLE_KERNELS, matrix_kernels()):
         os.environ["MKL_CBWR"] = kernels
 
 
 def own_environ() -> dict[str, str]:
-    """Return the environment variables for a child process, without the variables that this program has set.
-
-    A child process would take an inherited MKL_CBWR for the user's choice, and ignore the value that a run records.
-    """
+    """Return the environment for a child process, without variables that this program, not the user, has set."""
     return {name: value for name, value in os.environ.items() if name not in _chosen}
 
 

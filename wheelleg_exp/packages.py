@@ -29,10 +29,7 @@ from wheelleg_exp.paths import cache_dir
 
 
 def trust(folders: Iterable[Path]) -> None:
-    """Add existing ``folders``, which the user named on the command line, to the saved list of trusted folders.
-
-    If the list of trusted folders cannot be saved, each later command must name the folders with ``--config-dir``.
-    """
+    """Add existing ``folders``, which the user named on the command line, to the saved list of trusted folders."""
     known = _trusted()
     existing = map(os.path.realpath, filter(Path.is_dir, folders))
     new = [place for place in dict.fromkeys(existing) if place not in known]
@@ -153,10 +150,7 @@ def _require_own(project: Project) -> None:
 
 
 def with_current(folders: Sequence[Path]) -> list[Path]:
-    """Return the given config folders, followed by the config folder of the user project around the current folder.
-
-    Missing folders are also returned; the code that reads the folders raises an error.
-    """
+    """Return the config folders, missing ones included, and that of the user project around the current folder."""
     found = [_resolved(folder) for folder in folders]
     try:
         project = current_project()

@@ -18,10 +18,7 @@ def stop_signals() -> list[signal.Signals]:
 
 
 class StopRequest:
-    """A context in which the first stop signal (Ctrl-C) sets ``requested`` and a second one raises ``Interrupted``.
-
-    A second SIGHUP is ignored, because a closing terminal can send SIGHUP twice: by the system and by the shell.
-    """
+    """The first stop signal sets ``requested``; a second one except SIGHUP, which can come twice, interrupts."""
 
     def __init__(self) -> None:
         self.requested = False

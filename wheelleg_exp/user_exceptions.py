@@ -52,11 +52,7 @@ def place(error: BaseException) -> str | None:
 
 @contextmanager
 def importing(what: str) -> Iterator[None]:
-    """Restore the standard streams after the ``with`` block, which imports a possibly user-defined module.
-
-    A module that ends the program or closes a standard stream during its import raises ConfigError. Other exceptions
-    pass.
-    """
+    """Restore the standard streams after an import; a module that closes them or ends the program is an error."""
     streams = {"stdout": sys.stdout, "stderr": sys.stderr}
     try:
         with ending_as(ConfigError):

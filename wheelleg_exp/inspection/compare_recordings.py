@@ -16,11 +16,7 @@ from wheelleg_exp.recording.reading.recording_reader import Number, Recording
 
 @dataclass(frozen=True)
 class Parting:
-    """The first control step at which a number differs between two recordings, with its time (s) and both values.
-
-    ``step`` is None if the values are equal at all control steps that both recordings contain. ``time_s`` is None if
-    the recording contains no simulated times.
-    """
+    """The first control step at which a number differs, with its time (s) and both values; None without one."""
 
     step: int | None
     time_s: float | None
@@ -30,11 +26,7 @@ class Parting:
 
 @dataclass(frozen=True)
 class NumberDifference:
-    """A recorded number that differs between two Rerun recordings.
-
-    ``parting`` is the number's first difference between the recordings; ``largest`` is the largest absolute difference
-    at equal control steps.
-    """
+    """A recorded number that differs, where it first differs, and the largest difference at equal control steps."""
 
     name: str
     parting: Parting
@@ -46,11 +38,7 @@ class NumberDifference:
 
 @dataclass(frozen=True)
 class RecordingComparison:
-    """The result of a bitwise comparison of two Rerun recordings.
-
-    ``only_first`` and ``only_second`` are paths of Rerun entities that only the first or second recording contains.
-    ``numbers`` are the recorded numbers that differ between the two recordings, sorted by the first different step.
-    """
+    """A bitwise comparison of two recordings: their entities, and the numbers that differ, the earliest first."""
 
     equal: list[str]
     different: list[str]

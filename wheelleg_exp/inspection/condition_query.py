@@ -56,10 +56,7 @@ class Condition:
             raise _wrong(text, "it contains no recorded name")
 
     def holds(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
-        """Evaluate the condition in each of n recorded rows, and return a boolean array (n,).
-
-        ``values`` maps each name in the condition to an array of n values, (n,).
-        """
+        """Return whether the condition is true in each of n rows, (n,); ``values`` maps each name to n values, (n,)."""
         rows = len(values[self.names[0]])
         with np.errstate(all="ignore"):
             return np.broadcast_to(_truth(_value(self._tree, values)), (rows,)).copy()
@@ -155,10 +152,7 @@ def _wrong(text: str, reason: str) -> WheellegError:
 
 @dataclass(frozen=True)
 class Hit:
-    """A group of consecutive recorded frames in which a condition such as ``base.pitch > 0.3`` is true.
-
-    If the user requests frames around a hit, such as 0.5 s before and after, ``around`` contains them; otherwise None.
-    """
+    """Consecutive frames in which a condition is true, and the frames around them, None if not requested."""
 
     first: Moment
     last: Moment

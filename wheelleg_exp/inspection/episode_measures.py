@@ -44,11 +44,7 @@ class Episode:
 
 
 def whole(found: Sequence[Episode]) -> list[Episode]:
-    """Return the episodes that were recorded from start to end; averages use only these complete episodes.
-
-    Incomplete episodes would bias averages: an episode that was running when recording started is probably long, and an
-    episode that was running when recording stopped has no final sum of rewards.
-    """
+    """Return the episodes recorded from start to end; averages use only these, because cut episodes would bias them."""
     return [episode for episode in found if episode.is_from_start and episode.outcome != UNFINISHED]
 
 
@@ -150,10 +146,7 @@ class ForceExtreme:
 
 @dataclass(frozen=True)
 class EffortUse:
-    """The effort of a joint and its effort limit, N·m or N. ``limit`` is None for an unknown or infinite effort limit.
-
-    ``saturated_share`` is the share of frames with the effort at its limit; None if the joint has no effort limit.
-    """
+    """The effort of a joint, N·m or N; ``limit`` and ``saturated_share`` are None without a finite effort limit."""
 
     joint: str
     limit: float | None

@@ -37,10 +37,7 @@ def panels(episodes: Episodes) -> dict[str, list[Panel]]:
 
 
 def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write one PNG file for each test of an evaluation, such as ``walk.png``, into a folder.
-
-    Return the paths of the written PNG files.
-    """
+    """Write one PNG file for each test of an evaluation, such as ``walk.png``; return the paths of the files."""
     files = []
     for test, shown in panels(evaluation.episodes).items():
         files.append(folder / f"{test}.png")

@@ -37,10 +37,7 @@ def tracking(source: Source) -> list[Panel]:
 
 
 def joints(source: Source) -> list[Panel]:
-    """Return plot panels of each joint's motion with its target, and of each joint's effort with its limit.
-
-    For a training, the plot panels show only the last sequence of consecutive recorded control steps.
-    """
+    """Return panels of each joint's motion and effort; for a training, of the last recorded interval only."""
     panels: list[Panel] = []
     for joint in source.below("joints"):
         kind, unit = ("velocity", "rad/s") if is_driven(source, joint) else ("position", "rad")
@@ -55,10 +52,7 @@ def joints(source: Source) -> list[Panel]:
 
 
 def contact_forces(source: Source) -> list[Panel]:
-    """Return plot panels of the contact force on each body that had contact.
-
-    For a training, the plot panels show only the last sequence of consecutive recorded control steps.
-    """
+    """Return panels of the force on each touched body; for a training, of the last recorded interval only."""
     panels = []
     for sensor in source.below("contacts"):
         series = source.maybe("contacts", sensor)

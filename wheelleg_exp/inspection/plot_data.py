@@ -49,10 +49,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Sample:
-    """Recorded control steps without a gap, from ``first`` to ``last``.
-
-    ``iteration`` is the training iteration at the control step ``first``; None if no training was recorded.
-    """
+    """Recorded control steps without a gap; ``iteration`` is that of the ``first`` step, None without a training."""
 
     first: int
     last: int
@@ -64,10 +61,7 @@ class Sample:
 
 
 class Source:
-    """Provides the data of a Rerun recording for plots.
-
-    ``env`` is the index of the plotted environment; the default is ``selection.env_id`` or the first environment.
-    """
+    """Provides the data of a recording for plots of one environment, by default the selected or the first one."""
 
     def __init__(self, recording: Recording, env: int | None = None, selection: Selection | None = None) -> None:
         self.recording = recording
@@ -100,10 +94,7 @@ class Source:
         return list(dict.fromkeys(unescaped(tail.split("/")[0]) for tail in tails))
 
     def find(self, term: str) -> str | None:
-        """Return the Rerun entity path for a dotted name such as ``rewards.base_height``; None for an unknown name.
-
-        The name of a training scalar can omit the prefix ``training.`` and contain slashes instead of dots.
-        """
+        """Return the entity of a dotted name, None if unknown; a training scalar's name can omit ``training.``."""
         parts = [unescaped(part) for part in parts_of(term)] if "/" in term else term.split(".")
         for entity in (self.path(*parts), join(*parts), join(TRAINING, *parts)):
             if self.recording.has_rows(entity):

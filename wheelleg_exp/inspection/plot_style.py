@@ -133,11 +133,7 @@ def shades(count: int) -> list[ColorType]:
 
 
 def tile(panels: Sequence[Panel], *, title: str | None = None, size: tuple[float, float] | None = None) -> Figure:
-    """Return a matplotlib figure with panels in a grid and a title above this grid.
-
-    ``size`` is the width and height of the figure, inches. By default, the figure is as wide as a page, and as high as
-    the sum of its panels' heights.
-    """
+    """Return a figure of panels in a grid with a title; ``size`` is in inches, by default that of its panels."""
     return page([(title, panels)], size)
 
 
@@ -160,11 +156,7 @@ def page(sections: Sequence[tuple[str | None, Sequence[Panel]]], size: tuple[flo
 
 
 def figure_svg(figure: Figure) -> str:
-    """Convert a matplotlib figure to an SVG document without a date, so that equal figures give equal documents.
-
-    The SVG document contains text elements instead of glyph outlines. The root element of the SVG document has a
-    ``viewBox``, so that a web page can scale the drawing.
-    """
+    """Convert a figure to an SVG document with a ``viewBox`` and without a date: equal figures give equal documents."""
     with _saved(figure):
         buffer = io.StringIO()
         write: Callable[..., None] = FigureCanvasSVG(figure).print_svg

@@ -145,10 +145,7 @@ def scene_of(source: Source) -> Scene:
 
 
 def motion_of(source: Source, scene: Scene) -> Motion:
-    """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf.
-
-    ``motion_of`` raises RunDirectoryError if no control step contains the poses of all bodies.
-    """
+    """Return the recorded motion of a scene, in which the last finite pose replaces NaN and inf."""
     tables = [source.recording.table(source_body(source, name)) for name in scene.bodies]
     # Use only control steps with recorded poses of all bodies, because a truncated recording can lack some poses.
     steps = [np.asarray(table.column(STEP)) for table in tables]
@@ -281,10 +278,7 @@ class Camera:
 
 
 def follow_robot(scene: Scene, motion: Motion, rows: NDArray[np.intp], aspect: float) -> Camera:
-    """Return a camera that follows the robot in the frames ``rows`` of a motion.
-
-    ``aspect`` is the width of a picture divided by its height.
-    """
+    """Return a camera that follows the robot in the frames ``rows``; ``aspect`` is a picture's width by height."""
     root = motion.pos[rows, scene.root]
     seen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LOOKED_AT)).round().astype(int)]
     clouds = [points(scene, motion.pos[i], motion.quat[i]) - motion.pos[i, scene.root] for i in seen]

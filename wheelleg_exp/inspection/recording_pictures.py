@@ -47,12 +47,7 @@ class Scenery:
 def scenery(
     recording: Recording, env: int | None = None, at: str | None = None, iteration: int | None = None
 ) -> Scenery:
-    """Return the drawable scene and the motion of one recorded environment.
-
-    Without ``env``, the scene shows the environment in which the recorded number ``at`` is nonzero first. Without
-    ``env`` and ``at``, the scene shows the first environment. ``iteration`` restricts the search for nonzero values of
-    ``at`` to one training iteration.
-    """
+    """Return the scene and motion of one environment: ``env``, or where ``at`` is nonzero first, or the first one."""
     source = Source(recording, first_env(recording, at, iteration) if env is None and at is not None else env)
     scene = scene_of(source)
     motion = motion_of(source, scene)

@@ -21,10 +21,7 @@ from wheelleg_exp.recording.reading.recording_reader import Event, Recording
 
 @dataclass(frozen=True)
 class Trend:
-    """The course of one training scalar: its first and last value, and its extremes with their iterations.
-
-    ``count`` is the number of training iterations in which a scalar was logged.
-    """
+    """The course of a training scalar over ``count`` iterations: first and last value, and extremes."""
 
     name: str
     count: int

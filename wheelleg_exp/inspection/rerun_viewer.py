@@ -209,11 +209,7 @@ def has_display() -> bool:
 
 
 def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: bool = True) -> None:
-    """Serve a recording in Rerun's web viewer on the loopback address, until Ctrl-C raises KeyboardInterrupt.
-
-    The function ``say`` prints lines for the user; the first line ends with the viewer's URL. With port 0, the server
-    uses a free port. If ``browser`` is true, an installed browser opens the viewer's URL.
-    """
+    """Serve a recording in Rerun's web viewer on the loopback address until Ctrl-C; ``say`` prints for the user."""
     with WebViewer(path, port) as running:
         say(f"the viewer is at {running.url}")
         opened = browser and _open_browser(running.url)
@@ -223,11 +219,7 @@ def serve(path: Path, say: Callable[[str], None], *, port: int = 0, browser: boo
 
 
 def viewer_screenshot(path: Path, output: Path, *, time_s: float | None, width: int = 1600, height: int = 900) -> None:
-    """Write a screenshot of a recording in Rerun's viewer atomically to a file.
-
-    ``time_s`` is the simulated time to show, s; None shows the viewer's default time. Without a Vulkan driver,
-    ``viewer_screenshot`` raises NoGraphics, whose message names the packages to install.
-    """
+    """Write a screenshot of Rerun's viewer at ``time_s``, s; raise NoGraphics without a Vulkan driver."""
     if output.suffix.lower() != ".png":
         raise WheellegError(f"'{output}' has no image suffix", expected="a name that ends with .png")
     require_new(output)

@@ -66,10 +66,7 @@ def endings(scalars: Scalars) -> list[Panel]:
 
 
 def reward_course(scalars: Scalars) -> list[Panel]:
-    """Return plot panels of the weighted reward terms over the training, and of the reward terms' last values.
-
-    The training scalar of a reward term is the term's sum over an episode, divided by the maximum episode duration.
-    """
+    """Return panels of each reward term's sum over an episode, divided by the longest episode's duration."""
     terms = _below(scalars, "Episode_Reward")
     if not terms:
         return []

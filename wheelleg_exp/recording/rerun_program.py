@@ -30,10 +30,7 @@ def rerun_program() -> str:
 
 
 def run_rerun(*words: str) -> tuple[str | None, list[str]]:
-    """Run ``rerun rrd`` with arguments.
-
-    Return the reason why the command failed, or None, and the lines that it logged.
-    """
+    """Run ``rerun rrd``; return the reason why the command failed, or None, and the lines that it logged."""
     command = [rerun_program(), "rrd", *words]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_TIMEOUT_S, check=False, stdin=subprocess.DEVNULL)

@@ -200,10 +200,7 @@ def _clock(seconds: float) -> str:
 
 
 def shots(shown: Scenery, times: Sequence[float], size: tuple[int, int]) -> list[str]:
-    """Return pictures of the robot at several moments, as data URIs, with the same camera distance in all pictures.
-
-    ``shown`` contains the shapes and the motion of a recorded robot. ``size`` is each picture's width and height, px.
-    """
+    """Return pictures of the robot at several moments, as data URIs of ``size`` px, with one camera distance."""
     rows = [row_at(shown, time_s=time) for time in times]
     found = []
     for pixels in pictures(shown, rows, *size):

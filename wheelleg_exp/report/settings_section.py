@@ -53,12 +53,7 @@ def settings_blocks(subject: Subject) -> list[Block]:
 
 
 def _differences(subject: Subject, default: Composed, again: Composed | None) -> Iterator[list[Cell]]:
-    """Yield a table row for each parameter of the run that differs from the task's default.
-
-    ``default`` is the task's config without overrides; ``again`` is the config that Hydra composes on this machine with
-    the run's overrides. A parameter's origin (a file or an override) is known from ``again`` if its value there equals
-    the run's value.
-    """
+    """Yield a row for each parameter that differs from ``default``; ``again`` is the run's config, composed here."""
     for part in _PARTS:
         if subject.config.get(part):
             for change in changes(default.config.get(part), subject.config[part], same, (part,)):

@@ -41,10 +41,7 @@ def first_divergence(
     span: Span,
     sides: Sides,
 ) -> Divergence | None:
-    """Return the first difference of two runs: settings and robot first, then the numbers, then their length.
-
-    ``changes`` lists the differing ``settings`` that can change numbers, and the differences of the ``robot``.
-    """
+    """Return the first difference: in ``changes`` of settings and robot, then in the numbers, then in the length."""
     inside = _first_of_numbers(parts, parted, found, sides)
     for name in changes:
         for change in changes[name][:1]:

@@ -66,10 +66,7 @@ def short_name(name: str) -> str:
 
 
 def known_columns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Convert the columns of an Arrow record batch to the expected Arrow types, such as float64 lists for ``scalars``.
-
-    Columns that cannot be converted are omitted; of two columns with the same short name, only the first is kept.
-    """
+    """Convert columns to the Arrow types of Rerun's components; omit the columns that cannot be converted."""
     found: dict[str, tuple[pa.Field, pa.Array]] = {}
     fields = sorted(zip(batch.schema, batch.columns, strict=True), key=lambda column: not is_index(column[0]))
     for field, array in fields:

@@ -64,10 +64,7 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The rows of one rrd message, which contains either static data or data over time.
-
-    Rerun marks timelines as ``index``, and components as ``data``, in the metadata of their Arrow fields.
-    """
+    """The rows of one rrd message, which contains either static data or data over time."""
 
     batch: pa.RecordBatch
     is_static: bool

@@ -200,10 +200,7 @@ class Recording:
         return pa.table(found)
 
     def values(self, name: str, env_id: int | None = None) -> NDArray[np.float64]:
-        """Return the numbers of a Rerun entity or group of entities, (rows, width), sorted by control step.
-
-        ``values`` raises RunDirectoryError if a requested entity has no numbers or has rows of different widths.
-        """
+        """Return the numbers of an entity or a group, (rows, width); raise RunDirectoryError if there are none."""
         path = self._resolved(name, env_id)
         if self.has_rows(path):
             return self.matrix(path)
@@ -298,11 +295,7 @@ class Recording:
         return None
 
     def branch(self, env_id: int | None = None) -> str:
-        """Return the first part of an environment's entity paths, such as ``env_3``.
-
-        ``branch`` returns an empty text if only one environment was recorded, because entity paths then have no prefix.
-        ``branch`` raises RunDirectoryError if the environment ``env_id`` was not recorded.
-        """
+        """Return the prefix of an environment's entity paths, such as ``env_3``; empty if only one was recorded."""
         if env_id is not None and env_id not in self.env_ids:
             message = f"environment {env_id} was not recorded in '{self.path}'"
             raise RunDirectoryError(message, expected="one of " + ", ".join(map(str, self.env_ids)))
@@ -443,10 +436,7 @@ def _plain_value(value: object) -> object:
 
 
 def _timelines(own: dict[str, dict[str, Column]]) -> tuple[dict[str, Column], dict[str, NDArray[np.int64]]]:
-    """Return the timelines of all control steps at which any entity was recorded, and each entity's rows in them.
-
-    If the entities were recorded at the same control steps, the second mapping is empty.
-    """
+    """Return the timelines of all entities together, and each entity's rows in them; {} if all rows are equal."""
     first = next(iter(own.values()))
     keys = {entity: times.get(STEP, np.arange(len(next(iter(times.values()))))) for entity, times in own.items()}
     same = next(iter(keys.values()))

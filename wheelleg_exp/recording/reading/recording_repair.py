@@ -13,10 +13,7 @@ from wheelleg_exp.recording.reading.recording_contents import Contents, Health, 
 
 @dataclass(frozen=True)
 class Repaired:
-    """The result of a repair: the file that was read, the repaired file, and the health of the file that was read.
-
-    ``output``, the repaired file, is None if the original recording was complete.
-    """
+    """A repair: the file that was read, its health, and the repaired file, None if the file that was read was whole."""
 
     path: Path
     output: Path | None

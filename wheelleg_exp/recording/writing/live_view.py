@@ -86,10 +86,7 @@ class Follower:
 
 
 class Feed:
-    """Sends a growing recording, and the viewer's layout from ``folder``, to Rerun's viewer at network port ``port``.
-
-    The function ``is_open`` returns whether Rerun's viewer is running.
-    """
+    """Sends a growing recording, and the viewer's layout from ``folder``, to Rerun's viewer while it ``is_open``."""
 
     def __init__(self, path: Path, folder: Path, port: int, is_open: Callable[[], bool] = lambda: True) -> None:
         self._is_open = is_open
@@ -172,10 +169,7 @@ def free_port() -> int:
 
 
 def main(words: list[str]) -> None:
-    """Send a growing recording to Rerun's viewer.
-
-    ``words``: the recording's path, the folder of the viewer's layouts, and the command of a user-defined viewer.
-    """
+    """Send a growing recording to a viewer. ``words``: its path, the folder of layouts, a user-defined viewer."""
     os.nice(5)
     folder = Path(words[1])
     try:

@@ -38,10 +38,7 @@ ROBOT = "robot"
 def own_facts(
     env: ManagerBasedRLEnv, env_ids: list[int], purpose: str, given: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the recording's property ``wheelleg``: facts such as the seed and the duration of a control step.
-
-    Entries of the dictionary ``given``, such as the run id, are added, and replace entries of equal name.
-    """
+    """Return the property ``wheelleg``: facts such as the seed; entries of ``given`` replace entries of equal name."""
     found = {
         "format_version": FORMAT_VERSION,
         "purpose": purpose,
@@ -294,10 +291,7 @@ class RecordedEnvironment:
 
 
 def series(names: Sequence[str], first: int = 0) -> rr.SeriesLines:
-    """Return Rerun's ``SeriesLines`` with a name and a colour for each line in a plot of the viewer.
-
-    Commands and targets have paler colours than measured values.
-    """
+    """Return names and colours of the lines in a plot; commands and targets are paler than measured values."""
     shades = [np.array(_PALETTE[(first + i) % len(_PALETTE)]) for i in range(len(names))]
     for i, name in enumerate(names):
         if name.endswith(("target", "command")):

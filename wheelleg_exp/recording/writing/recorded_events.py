@@ -25,11 +25,7 @@ Columns = tuple[str, list[Stamp], rr.ComponentColumnList]
 
 
 class EventLog:
-    """The log entries that are not in the file yet: their times, texts, and severities.
-
-    Interval events, such as pushes, happen after ``capture``, so the recorder logs them in its next ``capture`` or
-    ``flush``.
-    """
+    """Log entries that are not in the file yet. Pushes follow ``capture``, so the next ``capture`` logs them."""
 
     def __init__(self, env: ManagerBasedRLEnv) -> None:
         self._env = env
@@ -77,10 +73,7 @@ class EventLog:
 
 
 class TrainingScalars:
-    """Buffers the scalars of a few training iterations until they are written to the recording.
-
-    ``keys`` contains the keys of all training scalars in the order of their first occurrence.
-    """
+    """Buffers the scalars of a few training iterations; ``keys`` are in the order of their first occurrence."""
 
     def __init__(self, keys: Sequence[str] = ()) -> None:
         self.keys = list(keys)

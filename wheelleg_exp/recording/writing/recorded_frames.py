@@ -43,10 +43,7 @@ class Channel:
 
 
 def environment_channels(env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, episodes: Episodes) -> list[Channel]:
-    """Return the recorded quantities (channels) of one environment, such as joint positions and rewards.
-
-    Body poses are not recorded quantities, because the recorder computes them from ``qpos``.
-    """
+    """Return the recorded quantities of one environment, without body poses, which follow from ``qpos``."""
     parts = (_base, _commands, _joints, _contacts, _actions, _observations, _rewards, _terminations)
     channels = [channel for part in parts for channel in part(env, env_id, paths)]
     return [*channels, _episode(env, env_id, paths, episodes)]

@@ -16,10 +16,7 @@ from wheelleg_exp.sim.robot import Robot
 
 
 def default_pose(robot: Robot, model: mujoco.MjModel) -> Array:
-    """Return qpos (nq,) with every joint at its default position and the base at its pose in the MuJoCo model.
-
-    Lengths of arrows are proportional to the robot's height at the default pose.
-    """
+    """Return qpos (nq,) with every joint at its default position and the base at its pose in the MuJoCo model."""
     qpos: Array = model.qpos0.copy()
     for joint, position in zip(robot.joint_names, robot.layout.default_joint_pos.flatten().tolist(), strict=True):
         qpos[model.joint(joint).qposadr[0]] = position
@@ -102,10 +99,7 @@ def vector_columns(rows: Array) -> rr.ComponentColumnList:
 
 @dataclass(frozen=True)
 class Contacts:
-    """Draws the contact forces of one contact sensor, as numbers and as arrows at the bodies in contact.
-
-    ``bodies`` are the MuJoCo ids of the sensor's bodies; ``scale`` is the length of a force arrow, in m per N.
-    """
+    """Draws the contact forces of a sensor as numbers, and as arrows of ``scale`` m per N at ``bodies`` (ids)."""
 
     sensor: str
     bodies: tuple[int, ...]

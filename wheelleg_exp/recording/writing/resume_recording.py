@@ -88,10 +88,7 @@ class EarlierRecording:
 
 
 def move_aside(path: Path, *, go_on: bool) -> str | None:
-    """Rename an earlier recording that cannot be continued, and remove the files of an interrupted resume.
-
-    If the earlier recording is missing or was renamed, return a message for the user, otherwise None.
-    """
+    """Rename an earlier recording that cannot be continued; return a message if it is missing or was renamed."""
     if not go_on:
         return None
     for left in path.parent.glob(f".{path.name}.*.tmp"):
