@@ -15,7 +15,7 @@ def test_the_overview_lists_every_page_of_results():
     folder = ROOT / "docs/results"
     linked = set(re.findall(r"\((\w+)\.md\)", (folder / "README.md").read_text(encoding="utf-8")))
     assert linked == {path.stem for path in folder.glob("*.md")} - {"README"}
-    assert {path.stem for path in folder.glob("*.json")} == linked - {"realism"}  # Trials without records of their runs.
+    assert {path.stem for path in folder.glob("*.json")} == linked - {"realism"}  # Trials have no records
     assert (ROOT / "mkdocs.yml").read_text(encoding="utf-8").count(" results/") == 2  # The overview, and not_in_nav.
 
 

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
-from typing import TypeVar
 
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot, Joint, RobotFacts
 from wheelleg_exp.config.schema import PHYSICS_RULES, Experiment
@@ -18,7 +17,6 @@ from wheelleg_exp.sim.options import EnvOptions
 from wheelleg_exp.terms.term_binding import TARGET, resolve_target
 
 _LIBRARY = "wheelleg_exp.mdp."
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class Case:
         return {joint: self.facts.joints[joint] for joint in found}
 
 
-def by_joint(values: float | Mapping[str, _T], names: Iterable[str], default: _T) -> dict[str, _T]:
+def by_joint(values: float | Mapping[str, float], names: Iterable[str], default: float) -> dict[str, float]:
     """Return a value for each joint; ``values`` is one value for all joints, or a mapping by joint expression."""
     listed = list(names)
     return dict(zip(listed, values_by_name(values, listed, default, key="values", what="joint"), strict=True))

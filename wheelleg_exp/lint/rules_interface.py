@@ -8,6 +8,7 @@ from statistics import median
 
 from wheelleg_exp.anatomy.compiled_robot import Drive, Joint
 from wheelleg_exp.lint.rule import Case, Finding, TermView, at_least, at_most, below, by_joint, kind_of, largest, rule
+from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.terms.term_binding import TARGET
 
 _POSITION = ("actions.JointPositionAction", "actions.RelativeJointPositionAction")
@@ -98,14 +99,14 @@ def action_clip_never_acts(case: Case) -> Iterator[Finding]:
     """
     for term in case.terms("actions", _ABSOLUTE, *_VELOCITY):
         joints = case.joints(term.node)
-        clips: dict[str, Sequence[float] | None] = by_joint(term.node.get("clip") or {}, joints, None)
-        for name, clip in clips.items():
+        clips = values_by_name(term.node.get("clip") or {}, list(joints), None, key="clip", what="joint")
+        for name, clip in zip(joints, clips, strict=True):
             joint, unit = joints[name], "rad"
             low, high = joint.low, joint.high
             if term.kind in _VELOCITY:
                 unit, high = "rad/s", joint.drive.velocity if joint.drive is not None else math.inf
                 low = -high
-            if clip is not None and clip[0] <= low and clip[1] >= high and math.isfinite(low):
+            if isinstance(clip, Sequence) and clip[0] <= low and clip[1] >= high and math.isfinite(low):
                 message = f"targets are clipped to [{clip[0]:g}, {clip[1]:g}] {unit}, and '{name}' reaches "
                 message += f"[{low:.3g}, {high:.3g}] {unit}: the clip has no effect"
                 hint = "bounds inside the joint's limits, or no clip; agent.clip_actions bounds raw actions"

@@ -73,7 +73,7 @@ def _keys(kind: type) -> tuple[dict[str, object], frozenset[str]]:
     """Return the types of a record's keys, and the names of the required keys."""
     hints = get_type_hints(kind)
     if is_typeddict(kind):
-        return hints, kind.__required_keys__  # type: ignore[attr-defined]
+        return hints, frozenset(vars(kind)["__required_keys__"])
     optional = {each.name for each in fields(kind) if (each.default, each.default_factory) != (MISSING, MISSING)}
     return hints, frozenset(hints) - optional
 
