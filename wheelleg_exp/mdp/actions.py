@@ -54,7 +54,7 @@ class JointTerm(ActionTerm):
         """Set the raw actions of ``env_ids`` to zero; as in Isaac Lab, the processed actions do not change."""
         self.reset_rows(env_ids)
 
-    def apply_actions(self) -> None:
+    def _set_targets(self) -> None:
         getattr(self._robot, f"set_joint_{self.drives}_target")(self.processed_actions, self._ids)
 
     def _clip(self) -> None:
@@ -135,6 +135,7 @@ class JointPositionAction(_DefaultOffsetAction):
     """
 
     drives = "position"
+    apply_actions = JointTerm._set_targets
 
 
 class RelativeJointPositionAction(JointAction):
@@ -179,6 +180,7 @@ class JointVelocityAction(_DefaultOffsetAction):
     """
 
     drives = "velocity"
+    apply_actions = JointTerm._set_targets
 
 
 class JointEffortAction(JointAction):
@@ -191,6 +193,7 @@ class JointEffortAction(JointAction):
     """
 
     drives = "effort"
+    apply_actions = JointTerm._set_targets
 
 
 class JointPositionToLimitsAction(JointTerm):
@@ -205,6 +208,7 @@ class JointPositionToLimitsAction(JointTerm):
     """
 
     drives = "position"
+    apply_actions = JointTerm._set_targets
 
     def __init__(
         self,
@@ -315,12 +319,14 @@ class BinaryJointPositionAction(BinaryJointAction):
     """One of two position targets, rad: the joints close if the action is below 0, otherwise they open."""
 
     drives = "position"
+    apply_actions = JointTerm._set_targets
 
 
 class BinaryJointVelocityAction(BinaryJointAction):
     """One of two velocity targets, rad/s: the joints close if the action is below 0, otherwise they open."""
 
     drives = "velocity"
+    apply_actions = JointTerm._set_targets
 
 
 class AbsBinaryJointPositionAction(BinaryJointPositionAction):
