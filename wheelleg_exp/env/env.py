@@ -23,7 +23,7 @@ from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.sim.scene import RobotState
 from wheelleg_exp.sim.timers import forget
 from wheelleg_exp.sim.warp_runtime import require_device
-from wheelleg_exp.state import Settings, cloned, on_device, register_undeclared, tree
+from wheelleg_exp.state import Settings, cloned, register_undeclared, tree
 from wheelleg_exp.state.values import PLAIN
 from wheelleg_exp.terms.config_sections import plain_section
 
@@ -372,7 +372,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore a state that ``state_dict`` returned, in an environment that was built from the same config."""
         self._settings_may_have_changed()
-        saved = {name: part if name == "streams" else on_device(part, self.device) for name, part in saved.items()}
+        saved = {name: part if name == "streams" else cloned(part, self.device) for name, part in saved.items()}
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]
         self.episode_length_buf.copy_(saved["episode_length_buf"])

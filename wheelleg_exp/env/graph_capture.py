@@ -24,7 +24,7 @@ import operator
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Number
 from typing import Any, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 
@@ -38,7 +38,7 @@ from wheelleg_exp.managers.manager_base import Term
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.state import Stateful, cloned, tree
 from wheelleg_exp.state.stateful import declarations
-from wheelleg_exp.state.values import PLAIN, Unsaveable, encoded, same
+from wheelleg_exp.state.values import PLAIN, encoded_or_itself, same
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
@@ -84,18 +84,8 @@ def captured_part(
     return decorate
 
 
-class Graph(Protocol):
-    """Records work and repeats it: a CUDA graph, or a substitute in tests."""
-
-    def record(self, work: Callable[[], None]) -> None:
-        """Record the work."""
-
-    def replay(self) -> None:
-        """Run the recorded kernels again, on the same memory as during the recording."""
-
-
 class CudaGraph:
-    """A CUDA graph that advances the random streams ``generators`` with each replay."""
+    """A CUDA graph that advances the random streams ``generators`` with each replay. Tests use a substitute."""
 
     def __init__(self, generators: Sequence[torch.Generator]) -> None:
         self._generators = generators
@@ -312,11 +302,9 @@ def is_plain(value: object) -> bool:
 def _frame(value: object) -> object:
     """Return what must not change in a declared value: the sizes of containers, and values that have no slot."""
     if isinstance(value, (dict, list)):
-        return [len(value), *map(_frame, value.values() if isinstance(value, dict) else value)]
-    try:
-        return None if isinstance(value, (torch.Tensor, Stateful)) or is_plain(value) else encoded(value)
-    except Unsaveable:
-        return id(value)
+        return len(value)
+    has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
+    return None if has_slot else encoded_or_itself(value)
 
 
 def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
@@ -330,7 +318,9 @@ def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
 class GraphCapture:
     """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
 
-    def __init__(self, env: CapturedEnv, make_graph: Callable[[Sequence[torch.Generator]], Graph] = CudaGraph) -> None:
+    def __init__(
+        self, env: CapturedEnv, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph
+    ) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
         # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
@@ -352,8 +342,7 @@ class GraphCapture:
         if name not in self.parts:
             resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
             work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
-            part = CapturedPart(work, self.values, self._make_graph, caches, streams, is_reset=resets)
-            self.parts[name] = part
+            self.parts[name] = CapturedPart(work, self.values, self._make_graph, caches, streams, resets)
         part = self.parts[name]
         found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
@@ -376,7 +365,7 @@ class Recording:
         used: the number of the method's call that last used the CUDA graph.
     """
 
-    graph: Graph
+    graph: CudaGraph
     inputs: list[object]
     buffers: list[tuple[Slot, torch.Tensor]]
     containers: list[tuple[Slot, object]]
@@ -418,46 +407,44 @@ class Recording:
         return self.output
 
 
+@dataclass
 class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it.
 
-    The function ``work`` is the method to capture, which returns tensors. If ``is_reset`` is True, ``work`` resets any
-    number of environments and returns a dictionary of logged numbers. All methods captured from one environment share
-    the object ``values``, which reads the environment's attributes. The function ``reset_caches`` deletes the robot's
-    cached quantities before each run of the method or replay of a CUDA graph. ``streams`` is a function that returns
-    all random generators of the environment.
+    Attributes:
+        work: the method to capture, which returns tensors.
+        values: the environment's declared values, which all methods captured from one environment share.
+        reset_caches: deletes the robot's cached quantities before each run of the method or replay of a CUDA graph.
+        streams: returns all random generators of the environment.
+        is_reset: whether ``work`` resets any number of environments, and returns a dictionary of logged numbers.
+        fails: whether the method runs without CUDA graphs from now on.
+        recordings: the CUDA graphs by their keys; the first one is the least recently used one.
     """
 
-    def __init__(
-        self,
-        work: Callable[..., Any],
-        values: Values,
-        make_graph: Callable[[Sequence[torch.Generator]], Graph],
-        reset_caches: Callable[[], None] = lambda: None,
-        streams: Callable[[], Sequence[torch.Generator]] = list,
-        *,
-        is_reset: bool = False,
-    ) -> None:
-        self._work, self._values, self._make_graph = work, values, make_graph
-        self._reset_caches, self._streams, self.is_reset = reset_caches, streams, is_reset
-        # Both dictionaries are ordered by use: their first keys are the least recently used ones.
-        self.recordings: dict[Key, Recording] = {}
-        self._times: dict[Key, int] = {}
-        self.fails = False
-        self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
-        self._calls = 0
+    work: Callable[..., Any]
+    values: Values
+    make_graph: Callable[[Sequence[torch.Generator]], CudaGraph]
+    reset_caches: Callable[[], None] = lambda: None
+    streams: Callable[[], Sequence[torch.Generator]] = list
+    is_reset: bool = False
+    fails: bool = field(default=False, init=False)
+    recordings: dict[Key, Recording] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self._room = _RESET_RECORDINGS if self.is_reset else _RECORDINGS
+        self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
+        self._calls = self._mismatches = self._missed = 0
         self._checked = set[Key]()
         self._drawn: list[torch.Generator] = []
-        self._mismatches, self._missed = 0, 0
         self._last: Key = (-1, ())
 
     def __call__(self, *args: object) -> Any:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
-        self._reset_caches()
+        self.reset_caches()
         if self.fails:
             return self._run(args)
         self._calls += 1
-        state = self._values.key()
+        state = self.values.key()
         key = (*(form_of(arg) for arg in args), *state)
         recording = self.recordings.pop(key, None)
         if recording is None:
@@ -473,7 +460,7 @@ class CapturedPart:
                 return self._run(args)
             recording = self._try_to_record(args)
             if recording is None:
-                self._reset_caches()
+                self.reset_caches()
                 return self._run(args)
             del self._times[key]
             if len(self.recordings) >= self._room:
@@ -490,8 +477,8 @@ class CapturedPart:
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
     def _run(self, args: tuple[object, ...]) -> Any:
-        self._values.is_checked = False  # Python code may change any attribute of the environment.
-        return self._work(*args)
+        self.values.is_checked = False  # Python code may change any attribute of the environment.
+        return self.work(*args)
 
     def _has_room(self) -> bool:
         """Return whether there is room for a CUDA graph, or the least recently used one has not been used for long."""
@@ -503,7 +490,7 @@ class CapturedPart:
     def _warn_of_changes(self, state: Key) -> None:
         self._missed += 1
         if self._missed == _MANY:
-            self._warn(f"{self._values.difference(self._last, state)} changes again and again")
+            self._warn(f"{self.values.difference(self._last, state)} changes again and again")
         if not self.recordings:
             self._last = state
 
@@ -514,15 +501,15 @@ class CapturedPart:
             self._warn(reason)
 
     def _warn(self, reason: str) -> None:
-        name = getattr(getattr(self._work, "func", self._work), "__name__", "part").strip("_")
+        name = getattr(getattr(self.work, "func", self.work), "__name__", "part").strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[object, ...], state: Key) -> Any:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
-        values = self._values
+        values = self.values
         before = [(slot, slot.value, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
         undeclared = UndeclaredChanges(values.root, with_root=True)
-        streams = [(stream, stream.get_state()) for stream in self._streams()]
+        streams = [(stream, stream.get_state()) for stream in self.streams()]
         found = self._run(args)
         moved = [stream for stream, was in streams if not torch.equal(stream.get_state(), was)]
         self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
@@ -544,9 +531,9 @@ class CapturedPart:
     def _try_to_record(self, args: tuple[object, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
         # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
-        for streams in (self._drawn, self._streams()):
+        for streams in (self._drawn, self.streams()):
             try:
-                return self._record(args, self._make_graph(streams))
+                return self._record(args, self.make_graph(streams))
             except (RuntimeError, SimulationFailure) as error:
                 if not isinstance(error, RuntimeError) and not isinstance(error.__cause__, RuntimeError):
                     raise
@@ -554,8 +541,8 @@ class CapturedPart:
         self._give_up(reason)
         return None
 
-    def _record(self, args: tuple[object, ...], graph: Graph) -> Recording:
-        values = self._values
+    def _record(self, args: tuple[object, ...], graph: CudaGraph) -> Recording:
+        values = self.values
         values.move_rebound(values.slots())
         before = {slot.id: (slot, slot.value) for slot in values.slots()}
         tensors = [(slot, value) for slot, value in before.values() if isinstance(value, torch.Tensor)]
@@ -565,7 +552,7 @@ class CapturedPart:
 
         def work() -> None:
             with touched:
-                result = self._work(*inputs)
+                result = self.work(*inputs)
                 if self.is_reset:
                     # Stack the logged numbers of a reset, because one tensor is faster to copy than many tensors.
                     if not all(isinstance(value, torch.Tensor) for value in result.values()):

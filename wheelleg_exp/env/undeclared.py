@@ -29,7 +29,7 @@ class UndeclaredChanges:
 
     def __init__(self, root: object, *, with_root: bool = False) -> None:
         self._root, self._with_root = root, with_root
-        self._before = {place: seen for place, _, _, seen in self._attributes()}
+        self._before = {(path, name): _seen(value) for path, _, name, value in self._attributes()}
 
     def changed(self) -> Iterator[tuple[object, str]]:
         """Yield the owner and the name of each undeclared attribute that has changed."""
@@ -53,29 +53,28 @@ class UndeclaredChanges:
                 warnings.warn(f"{message}. The next release will not save undeclared state", stacklevel=2)
 
     def _changes(self) -> Iterator[tuple[str, object, str]]:
-        found = [p for p in self._attributes() if not same(p[3], self._before.get(p[0], _OTHER))]
-        owned = set(self._declared_memory()) if found else set[int]()
-        for place, owner, name, _ in found:
-            value = getattr(owner, name)
-            if not isinstance(value, torch.Tensor) or value.untyped_storage().data_ptr() not in owned:
-                yield place[0], owner, name
-
-    def _declared_memory(self) -> Iterator[int]:
-        """Yield the addresses of declared buffers and of the engine's memory, of which attributes may be views."""
-        for _, owner in tree(self._root):
+        before = self._before
+        found = [one for one in self._attributes() if not same(_seen(one[3]), before.get((one[0], one[2]), _OTHER))]
+        owned = set[int]()  # addresses of declared buffers and of the engine's memory, of which attributes may be views
+        for _, owner in tree(self._root) if found else ():
             names = vars(owner) if isinstance(owner, Engine) else declarations(owner)
-            for tensor in (tensor for name in names for tensor in _tensors(getattr(owner, name), depth=1)):
-                yield tensor.untyped_storage().data_ptr()
+            tensors = (tensor for name in names for tensor in _tensors(getattr(owner, name), depth=1))
+            owned |= {tensor.untyped_storage().data_ptr() for tensor in tensors}
+        for path, owner, name, value in found:
+            if not isinstance(value, torch.Tensor) or value.untyped_storage().data_ptr() not in owned:
+                yield path, owner, name
 
-    def _attributes(self) -> Iterator[tuple[tuple[str, str], object, str, object]]:
-        """Yield a name for the place, the owner, the attribute, and a copy of its value."""
+    def _attributes(self) -> Iterator[tuple[str, object, str, object]]:
+        """Yield the path of each part, the part, and the name and value of each of its undeclared attributes."""
         for path, owner in tree(self._root):
-            if _has_own_method(owner) or isinstance(owner, Engine) or (owner is self._root and not self._with_root):
+            # The state dict of a user-defined class saves more than the declared values.
+            saves_more = not _is_own(getattr(type(owner), "state_dict", UndeclaredChanges))
+            if saves_more or isinstance(owner, Engine) or (owner is self._root and not self._with_root):
                 continue
             for name, value in list(getattr(owner, "__dict__", {}).items()):
                 declared = declarations(owner).get(name)
                 if name not in _IGNORED and (declared is None or declared.is_automatic):
-                    yield (path, name), owner, name, _seen(value)
+                    yield path, owner, name, value
 
 
 def _tensors(value: object, depth: int) -> Iterator[torch.Tensor]:
@@ -93,17 +92,10 @@ def _is_own(kind: object) -> bool:
     return str(getattr(kind, "__module__", "")).partition(".")[0] == __name__.partition(".")[0]
 
 
-def _has_own_method(owner: object) -> bool:
-    """Return whether a user-defined class has its own ``state_dict``, which saves more than the declared values."""
-    method = getattr(type(owner), "state_dict", None)
-    return method is not None and not _is_own(method)
-
-
 def _seen(value: object) -> object:
     """Copy a tensor, a plain value, or a container; other objects count as unchanged."""
-    if isinstance(value, (dict, list, tuple, set, frozenset, deque)):
+    if isinstance(value, _CONTAINERS):
         items = value.values() if isinstance(value, dict) else value
         return [len(value), *(_seen(item) for item in items if not isinstance(item, _CONTAINERS))]
-    if type(value) in PLAIN or isinstance(value, (torch.Tensor, np.ndarray, np.generic)):
-        return encoded(value)
-    return _OTHER
+    is_value = type(value) in PLAIN or isinstance(value, (torch.Tensor, np.ndarray, np.generic))
+    return encoded(value) if is_value else _OTHER

@@ -10,7 +10,7 @@
 
 from wheelleg_exp.state.settings import Settings
 from wheelleg_exp.state.stateful import Stateful, adopt, register_undeclared, restore, save, tree
-from wheelleg_exp.state.values import NamedStream, cloned, host_copy, merged, on_device, same
+from wheelleg_exp.state.values import NamedStream, cloned, host_copy, merged, same
 
 __all__ = [
     "NamedStream",
@@ -20,7 +20,6 @@ __all__ = [
     "cloned",
     "host_copy",
     "merged",
-    "on_device",
     "register_undeclared",
     "restore",
     "same",

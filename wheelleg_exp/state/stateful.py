@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.state.values import PLAIN, NamedStream, Unsaveable, encoded, is_saving, restored, same, writes_into
+from wheelleg_exp.state.values import PLAIN, Generator, NamedStream, Unsaveable, encoded, is_saving, restored, same
 
 T = TypeVar("T")
 Kind = Literal["buffer", "number", "setting", "part"]
@@ -136,7 +136,8 @@ def save(owner: object) -> dict[str, Any]:
             value = getattr(owner, name)
             try:
                 # A new object has nothing into which the state of a network or a generator could be restored.
-                if type(declared.initial) in PLAIN and declared.kind == "number" and writes_into(value):
+                is_plain = type(declared.initial) in PLAIN and declared.kind == "number"
+                if is_plain and (is_saving(value) or isinstance(value, Generator)):
                     raise Unsaveable(value)
                 now = encoded(value)
             except Unsaveable as error:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import struct
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol, TypeGuard, TypeVar, cast, runtime_checkable
 
 import numpy as np
@@ -40,17 +41,12 @@ class Unsaveable(Exception):
         super().__init__(f"a value of the type {name}")
 
 
-_Generator = torch.Generator | random.Random | np.random.Generator
+Generator = torch.Generator | random.Random | np.random.Generator
 
 
 def is_saving(value: object) -> TypeGuard[Saving]:
     """Return whether a value is an object with ``state_dict`` and ``load_state_dict``."""
     return isinstance(value, Saving) and not isinstance(value, type)
-
-
-def writes_into(value: object) -> bool:
-    """Return whether ``restored`` needs the object itself: a generator, or an object that saves its own state."""
-    return is_saving(value) or isinstance(value, _Generator)
 
 
 def encoded(value: object) -> object:
@@ -67,8 +63,10 @@ def encoded(value: object) -> object:
         return encoded(value.item())
     if isinstance(value, np.ndarray):
         return torch.from_numpy(value.copy())
-    if isinstance(value, _Generator) and not isinstance(value, NamedStream):
-        return _generator_state(value)
+    if isinstance(value, Generator) and not isinstance(value, NamedStream):
+        if isinstance(value, torch.Generator):
+            return value.get_state()
+        return value.getstate() if isinstance(value, random.Random) else dict(value.bit_generator.state)
     if isinstance(value, dict):
         return {encoded(key): encoded(item) for key, item in value.items()}
     if isinstance(value, (set, frozenset)):
@@ -81,14 +79,26 @@ def encoded(value: object) -> object:
     raise Unsaveable(value)
 
 
+def encoded_or_itself(value: object) -> object:
+    """Return ``encoded(value)``, or the value itself if a checkpoint cannot contain it."""
+    try:
+        return encoded(value)
+    except Unsaveable:
+        return value
+
+
 def restored(saved: Any, present: object) -> Any:
     """Return the value from which ``encoded`` made ``saved``; write it into the object ``present`` if it fits there."""
-    if isinstance(present, _Generator):
-        _set_generator_state(present, saved)
+    if isinstance(present, torch.Generator):
+        present.set_state(saved.cpu())
+    elif isinstance(present, random.Random):
+        present.setstate(saved)
+    elif isinstance(present, np.random.Generator):
+        present.bit_generator.state = saved
     elif is_saving(present):
         present.load_state_dict(saved)
     elif isinstance(present, np.ndarray) and isinstance(saved, torch.Tensor):
-        return _into_array(saved.cpu().numpy(), present)
+        return _into_tensor(saved.cpu(), torch.from_numpy(present) if present.flags.writeable else None).numpy()
     elif isinstance(present, np.generic) and type(saved) in PLAIN:
         return type(present)(saved)
     elif isinstance(saved, torch.Tensor):
@@ -100,7 +110,13 @@ def restored(saved: Any, present: object) -> Any:
         own.update(items)
         return own
     elif isinstance(saved, (list, tuple)):
-        return _into_sequence(saved, present)
+        old = list(present) if isinstance(present, (list, tuple, deque)) else []
+        values = [restored(item, own) for item, own in itertools.zip_longest(saved, old[: len(saved)])]
+        if isinstance(present, (list, deque)):
+            present.clear()
+            present.extend(values)
+            return present
+        return type(present)(values) if isinstance(present, (set, frozenset)) else type(saved)(values)
     else:
         return saved
     return present
@@ -112,39 +128,6 @@ def _into_tensor(saved: torch.Tensor, present: object) -> torch.Tensor:
         return saved.clone()  # torch cannot write to expanded tensors.
     with torch.inference_mode() if present.is_inference() else torch.no_grad():
         return present.copy_(saved)
-
-
-def _into_array(saved: Array, present: Array) -> Array:
-    if (present.shape, present.dtype) != (saved.shape, saved.dtype) or not present.flags.writeable:
-        return saved.copy()
-    np.copyto(present, saved)
-    return present
-
-
-def _into_sequence(saved: list[object] | tuple[object, ...], present: object) -> object:
-    old = list(present) if isinstance(present, (list, tuple, deque)) else []
-    old += [None] * (len(saved) - len(old))
-    items = [restored(item, own) for item, own in zip(saved, old, strict=False)]
-    if isinstance(present, (list, deque)):
-        present.clear()
-        present.extend(items)
-        return present
-    return type(present)(items) if isinstance(present, (set, frozenset)) else type(saved)(items)
-
-
-def _generator_state(generator: _Generator) -> object:
-    if isinstance(generator, torch.Generator):
-        return generator.get_state()
-    return generator.getstate() if isinstance(generator, random.Random) else dict(generator.bit_generator.state)
-
-
-def _set_generator_state(generator: _Generator, state: Any) -> None:
-    if isinstance(generator, torch.Generator):
-        generator.set_state(state.cpu())
-    elif isinstance(generator, random.Random):
-        generator.setstate(state)
-    else:
-        generator.bit_generator.state = state
 
 
 def same(a: object, b: object) -> bool:
@@ -171,24 +154,16 @@ def bytes_of(value: torch.Tensor) -> torch.Tensor:
     return flat.view(torch.uint8)
 
 
-def on_device(tree: T, device: torch.device) -> T:
-    """Copy nested mappings, lists, and tuples, and move all tensors in them to a device."""
-    return cast(T, _converted(tree, lambda tensor: tensor.to(device)))
-
-
-def cloned(tree: T) -> T:
-    """Copy nested mappings, lists, and tuples, including all tensors in them."""
-    return cast(T, _converted(tree, lambda tensor: tensor.detach().clone()))
-
-
-def _converted(tree: object, convert: Callable[[torch.Tensor], torch.Tensor]) -> object:
+def cloned(tree: T, device: torch.device | None = None) -> T:
+    """Copy nested mappings, lists, and tuples, including all tensors in them, and move the tensors to a device."""
+    found: object = tree
     if isinstance(tree, torch.Tensor):
-        return convert(tree)
-    if isinstance(tree, Mapping):
-        return {key: _converted(value, convert) for key, value in tree.items()}
-    if isinstance(tree, (list, tuple)):
-        return type(tree)(_converted(value, convert) for value in tree)
-    return tree
+        found = tree.detach().clone() if device is None else tree.detach().to(device)
+    elif isinstance(tree, Mapping):
+        found = {key: cloned(value, device) for key, value in tree.items()}
+    elif isinstance(tree, (list, tuple)):
+        found = type(tree)(cloned(value, device) for value in tree)
+    return cast(T, found)
 
 
 def merged(before: object, after: object, rows: torch.Tensor) -> Any:
