@@ -259,9 +259,13 @@ class Values:
                     slot.holder[slot.key] = static
 
 
+def _address(tensor: torch.Tensor) -> int:
+    """Return the address of a tensor's storage, because all views of a tensor share its storage."""
+    return tensor.untyped_storage().data_ptr()
+
+
 def _memory(tree: object) -> set[int]:
-    """Return the addresses of the storages of all tensors in a nested structure; all views of a tensor share one."""
-    return {leaf.untyped_storage().data_ptr() for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)}
+    return {_address(leaf) for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)}
 
 
 class TouchedMemory(TorchDispatchMode):
@@ -309,8 +313,8 @@ def _frame(value: object) -> object:
 
 def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
     """Copy the second tensor of each pair into the first; tensors of different pairs may share memory."""
-    targets = _memory([static for static, _ in pairs])
-    copies = [(static, now if targets.isdisjoint(_memory(now)) else now.clone()) for static, now in pairs]
+    targets = {_address(static) for static, _ in pairs}
+    copies = [(static, now.clone() if _address(now) in targets else now) for static, now in pairs]
     for static, now in copies:
         static.copy_(now)
 
@@ -375,9 +379,9 @@ class Recording:
 
     def __post_init__(self) -> None:
         self._places = [(slot.holder, slot.key, static) for slot, static in self.buffers]
-        counts = Counter(static.untyped_storage().data_ptr() for _, static in self.buffers)
+        counts = Counter(_address(static) for _, static in self.buffers)
         # Other values cannot be copied into a tensor whose memory several slots use.
-        self._shared = {id(s) for _, s in self.buffers if counts[s.untyped_storage().data_ptr()] > 1}
+        self._shared = {id(s) for _, s in self.buffers if counts[_address(s)] > 1}
 
     def load(self, args: tuple[object, ...]) -> str | None:
         """Copy buffers and arguments to the CUDA graph's tensors; return the label of a slot that does not fit."""
@@ -579,7 +583,7 @@ class CapturedPart:
         changed = [s for s in values.slots() if s.id not in before or before[s.id][1] is not s.value]
         assigned = [(slot.holder, slot.key, slot.value) for slot in changed]
         memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in changed]))
-        buffers = [(slot, value) for slot, value in tensors if not memory.isdisjoint(_memory(value))]
+        buffers = [(slot, value) for slot, value in tensors if _address(value) in memory]
         holders = {id(slot.holder) for slot, _ in buffers}
         containers = [(slot, value) for slot, value in before.values() if id(value) in holders]
         return Recording(graph, inputs, buffers, containers, assigned, _frozen(outputs[0]))
