@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from managers import spies
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers.streams import Streams
 
 STILL = torch.zeros(4, 4)
@@ -137,22 +136,6 @@ def test_a_class_that_runs_before_the_start_is_never_reset(make_env):
     spies.LOG.clear()
     env.reset()
     assert spies.LOG == ["event startup reset [0, 1, 2, 3]"]
-
-
-@pytest.mark.parametrize(
-    ("fields", "key"),
-    [
-        ({"mode": "interval"}, "interval_range_s"),
-        ({"mode": "interval", "interval_range_s": [2.0, 1.0]}, "interval_range_s"),
-        ({"mode": "interval", "interval_range_s": [1.0]}, "interval_range_s"),
-        ({"mode": "reset", "min_step_count_between_reset": -1}, "min_step_count_between_reset"),
-        ({}, "mode"),
-    ],
-)
-def test_wrong_settings_name_their_key(make_env, fields, key):
-    with pytest.raises(ConfigError) as caught:
-        make_env(events={"e": {"_target_": spies.HERE + "noted", **fields}})
-    assert caught.value.key == f"env.events.e.{key}"
 
 
 @pytest.mark.parametrize(("mode", "words"), [("interval", "interval"), ("reset", "step_count")])

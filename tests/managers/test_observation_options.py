@@ -117,6 +117,8 @@ def test_histories_can_be_ordered_step_by_step(make_env):
     ("group", "key", "words"),
     [
         *(({"terms": {"x": {"delay": delay}}}, "terms.x.delay", None) for delay in ([2, 1], [-1, 2], [0.5, 1], 3)),
+        ({"terms": {}}, "terms", None),
+        ({"histroy_length": 2}, "histroy_length", None),
         ({"history_order": "time"}, "history_order", None),
         ({"history_order": "time", "history_length": 2, "flatten_history_dim": False}, "history_order", None),
         ({"history_order": "time", "concatenate_terms": False}, "history_order", None),

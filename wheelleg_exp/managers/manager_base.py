@@ -122,7 +122,8 @@ class Term(Stateful):
             value = self.func(*args, **self.params)
         if self.form is not None:
             require_form(self.form, value, f"'{self.target}'", self.path, self.func)
-        self._has_worked = True
+        if not self._has_worked:  # ``__setattr__`` is slow.
+            self._has_worked = True
         return value
 
     def blamed(self) -> AbstractContextManager[None]:

@@ -16,14 +16,7 @@ from wheelleg_exp.sim.scene import Scene
 from wheelleg_exp.terms.config_values import require_fit
 
 if TYPE_CHECKING:
-    from wheelleg_exp.managers.action_manager import ActionManager
-    from wheelleg_exp.managers.command_manager import CommandManager
-    from wheelleg_exp.managers.curriculum_manager import CurriculumManager
-    from wheelleg_exp.managers.event_manager import EventManager
-    from wheelleg_exp.managers.observation_manager import ObservationManager
-    from wheelleg_exp.managers.recorder_manager import RecorderManager
-    from wheelleg_exp.managers.reward_manager import RewardManager
-    from wheelleg_exp.managers.termination_manager import TerminationManager
+    from wheelleg_exp import managers
 
 
 class Env(Protocol):
@@ -59,14 +52,14 @@ class Env(Protocol):
     scene: Scene
     streams: Streams
     observers: list[Callable[[], None]]
-    command_manager: CommandManager
-    action_manager: ActionManager
-    observation_manager: ObservationManager
-    event_manager: EventManager
-    reward_manager: RewardManager
-    termination_manager: TerminationManager
-    curriculum_manager: CurriculumManager
-    recorder_manager: RecorderManager
+    command_manager: managers.CommandManager
+    action_manager: managers.ActionManager
+    observation_manager: managers.ObservationManager
+    event_manager: managers.EventManager
+    reward_manager: managers.RewardManager
+    termination_manager: managers.TerminationManager
+    curriculum_manager: managers.CurriculumManager
+    recorder_manager: managers.RecorderManager
 
 
 Ids = torch.Tensor | Sequence[int] | slice
