@@ -224,11 +224,6 @@ def bits(*threads, **variables):
     return [said[first : first + 27] for first in range(0, len(said), 27)]
 
 
-@pytest.mark.full
-def test_processes_give_the_same_bits():
-    assert bits(2) == bits(2)
-
-
 def test_thread_counts_give_the_same_bits_without_amx():
     one, two, three = bits(1, 2, 3, ONEDNN_MAX_CPU_ISA="AVX512_CORE_FP16")
     assert one == two == three

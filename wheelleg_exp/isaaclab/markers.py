@@ -26,12 +26,9 @@ class VisualizationMarkers:
     def __init__(self, cfg: object = None) -> None:
         self.cfg = cfg
 
-    def set_visibility(self, visible: bool) -> None:
-        """Do nothing."""
+    def set_visibility(self, visible: bool) -> None: ...
 
     def is_visible(self) -> bool:
-        """Return False."""
         return False
 
-    def visualize(self, *args: object, **kwargs: object) -> None:
-        """Do nothing."""
+    def visualize(self, *args: object, **kwargs: object) -> None: ...

@@ -106,7 +106,7 @@ class EventManager(ManagerBase):
             self.fired[name] = time_left < 1e-6
 
     def apply_due(self, dt: float) -> bool:
-        """Run the events due in a control step of ``dt`` s: expired intervals and mode ``step``; return if any ran."""
+        """Run the events with expired timers and those of mode ``step`` in a step of ``dt`` s; return if any ran."""
         ran = False
         for name, term in self._modes.get("interval", {}).items():
             if not may_be_due(self._time_left[name], float(term.fields["interval_range_s"][0]), dt):

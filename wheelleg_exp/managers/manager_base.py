@@ -185,7 +185,7 @@ class _Blamed:
 
 
 def bind_terms(kind: str, section: str, nodes: Terms, env: Env, *, instantiate: bool = True) -> dict[str, Term]:
-    """Bind every term of the config section at the key ``section``; ``kind`` is the kind of the terms: ``rewards``.
+    """Bind all terms of the config section ``section``, such as ``env.rewards``, which have the kind ``rewards``.
 
     If ``instantiate`` is False, the caller must later create the terms' objects with ``instantiate_term``.
     """

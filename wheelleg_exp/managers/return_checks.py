@@ -26,7 +26,7 @@ class Form(Protocol):
 
 
 def require_form(form: Form, value: object, source: str, path: str, code: object) -> None:
-    """Raise ConfigError, with the key ``path`` and the line of ``code``, unless what ``source`` returned has a form."""
+    """Raise ConfigError (key ``path``, line of ``code``) unless ``value``, which ``source`` returned, fits ``form``."""
     try:
         form.check(value, source)
     except ConfigError as error:

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
 from wheelleg_exp.rl.policy_average import STATE
 from wheelleg_exp.state.values import bytes_of
-
-if TYPE_CHECKING:
-    from hashlib import _Hash
 
 # ``FORMAT`` is the version of the hashes of checkpoints; see ``iteration_log.comparable_digests``.
 FORMAT = 2
@@ -82,7 +79,7 @@ def _part_of(key: str) -> str:
     return kind if key.endswith("_state_dict") else "rest"
 
 
-def _update(digest: _Hash, path: str, value: object) -> None:
+def _update(digest: hashlib._Hash, path: str, value: object) -> None:
     if isinstance(value, Mapping):
         digest.update(f"{path}\0{{{len(value)}\0".encode())
         for key, item in value.items():

@@ -37,7 +37,7 @@ _COUNTS = (1, 2, 3, 4, 8, 16)
 
 
 def chosen_matmul(agent: Learning) -> Matmul:
-    """Return the precision that ``agent.matmul`` selects; raise ConfigError if the training's device has no such units.
+    """Return the precision that ``agent.matmul`` selects; raise ConfigError if the device does not support it.
 
     ``auto`` selects by the type of hardware, not by a measurement, so that restarts of a run use the same precision.
     """

@@ -13,6 +13,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.terms.config_values import value_errors
 from wheelleg_exp.terms.key_syntax import below
+from wheelleg_exp.terms.term_binding import walk_nodes
 
 Matmul = Literal["auto", "float32", "bfloat16", "tf32"]
 
@@ -151,18 +152,10 @@ def require_agent(agent: Learning, num_envs: int) -> None:
 
 def parameter_errors(agent: Mapping[str, object]) -> Iterator[ConfigError]:
     """Yield an error for each invalid value of rsl_rl's parameters."""
-    for name, section in agent.items():
-        if isinstance(section, Mapping) and name != "obs_groups":
-            yield from _below(below("agent", str(name)), section)
-
-
-def _below(path: str, node: Mapping[str, object]) -> Iterator[ConfigError]:
-    for name, value in node.items():
-        key = below(path, str(name))
-        if name in PARAMETERS:
-            yield from value_errors(key, value, PARAMETERS[name])
-        elif isinstance(value, Mapping):
-            yield from _below(key, value)
+    for path, node in walk_nodes({name: section for name, section in agent.items() if name != "obs_groups"}, "agent"):
+        for name, value in node.items():
+            if name in PARAMETERS and path != "agent":
+                yield from value_errors(below(path, name), value, PARAMETERS[name])
 
 
 def batch_errors(agent: Learning, num_envs: int) -> Iterator[ConfigError]:
