@@ -136,17 +136,6 @@ def test_a_delay_counts_physics_steps(start_env):
     assert seen == pytest.approx([0.1, 0.1, 0.1, 0.1, 0.1, 0.2, 0.2, 0.3])
 
 
-def test_lags_are_drawn_at_resets_for_their_environments(start_env):
-    env = _delayed(start_env, [1, 4], num_envs=400)
-    lags = env.action_manager.delays["a"].lag
-    before = lags.clone()
-    assert torch.bincount(before).tolist()[0] == 0
-    assert all(60 < count < 140 for count in torch.bincount(before)[1:])
-    env.reset(env_ids=torch.arange(200))
-    assert torch.equal(lags[200:], before[200:])
-    assert not torch.equal(lags[:200], before[:200])
-
-
 def test_a_new_episode_has_no_actions_of_the_last(start_env):
     env = _delayed(start_env, [4, 4])
     env.step(torch.ones(4, 2))

@@ -206,8 +206,8 @@ def test_joints_are_written_by_any_indices(make_env, env_ids, joint_ids):
     robot.set_joint_position_target(torch.tensor([[7.0, 8.0]] * 2), joint_ids=joint_ids, env_ids=env_ids)
     assert robot.data.joint_pos_target[1].tolist() == pytest.approx([8.0, 0.2, 7.0, 0.0])
     assert robot.data.joint_pos_target[2].tolist() == pytest.approx([0.2, 0.2, 0.0, 0.0])
-    robot.set_joint_velocity_target(torch.full((2, 2), 1e3), joint_ids=joint_ids, env_ids=env_ids)
-    assert robot.data.joint_vel_target[3].tolist() == [30.0, 0.0, 20.0, 0.0]
+    robot.set_joint_velocity_target(torch.tensor([[1e3, -1e3]] * 2), joint_ids=joint_ids, env_ids=env_ids)
+    assert robot.data.joint_vel_target[3].tolist() == [-30.0, 0.0, 20.0, 0.0]  # the actuators' velocity limits
 
 
 def test_finding(make_env):

@@ -29,10 +29,7 @@ def test_joints_and_bodies_are_ordered_breadth_first_whatever_the_engines_order(
     assert [scene.model.joint(j).name for j in range(1, 5)] == ["left_hip", "left_axle", "right_hip", "right_axle"]
     assert scene.robot.joint_names == NAMES
     assert scene.robot.body_names == ["base", "left_arm", "right_arm", "left_wheel", "right_wheel"]
-
-
-def test_joint_quantities_follow_the_robots_order(make_env):
-    robot = make_env(num_envs=1).scene.robot
+    robot = scene.robot
     pos, vel = torch.tensor([[0.1, 0.2, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0]]).split(1)
     robot.write_joint_state_to_sim(pos, vel, env_ids=torch.tensor([0]))
     assert robot.data.joint_pos[0].tolist() == pytest.approx([0.1, 0.2, 3.0, 4.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -25,34 +26,34 @@ class Modifier(Stateful):
         self.reset_rows(env_ids)
 
 
+@dataclass(eq=False)
 class Scale(Modifier):
     """Multiply an observation by ``multiplier``."""
 
-    def __init__(self, multiplier: float) -> None:
-        self._multiplier = multiplier
+    multiplier: float
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        return value * self._multiplier
+        return value * self.multiplier
 
 
+@dataclass(eq=False)
 class Bias(Modifier):
     """Add ``value`` to an observation."""
 
-    def __init__(self, value: float) -> None:
-        self._value = value
+    value: float
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        return value + self._value
+        return value + self.value
 
 
+@dataclass(eq=False)
 class Clip(Modifier):
     """Clip an observation to ``bounds``."""
 
-    def __init__(self, bounds: Bounds) -> None:
-        self._bounds = (float(bounds[0]), float(bounds[1]))
+    bounds: Bounds
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        return value.clip(*self._bounds)
+        return value.clip(*map(float, self.bounds))
 
 
 # Isaac Lab's names of the modifiers ``Scale``, ``Bias``, and ``Clip`` are in lower case.
@@ -90,6 +91,7 @@ class DigitalFilter(Modifier):
         return filtered
 
 
+@dataclass(eq=False)
 class Integrator(Modifier):
     """Integrate an observation x: in each control step, the integral grows by (x + x_previous) / 2 * dt.
 
@@ -97,14 +99,13 @@ class Integrator(Modifier):
         dt: time between two observations, s.
     """
 
-    def __init__(self, dt: Positive) -> None:
-        self._dt = dt
+    dt: Positive
 
     def start(self, sample: torch.Tensor) -> None:
         self._integral = self.buffer("_integral", torch.zeros_like(sample), fill=0.0)
         self._previous = self.buffer("_previous", torch.zeros_like(sample), fill=0.0)
 
     def __call__(self, value: torch.Tensor) -> torch.Tensor:
-        self._integral += (value + self._previous) / 2 * self._dt
+        self._integral += (value + self._previous) / 2 * self.dt
         self._previous.copy_(value)
         return self._integral.clone()

@@ -105,6 +105,7 @@ class NoiseModelWithAdditiveBias(Stateful):
             self._bias = self._bias.index_copy(0, env_ids, self._bias_noise(self._bias[env_ids], generator))
 
 
+@dataclass(eq=False)
 class SensorErrors(Stateful):
     """The errors of a real sensor, in this order: lag, drift, noise, resolution, lost readings. Not in Isaac Lab.
 
@@ -119,15 +120,13 @@ class SensorErrors(Stateful):
         lost: probability that a reading is lost in a control step; the last reading is then repeated.
     """
 
-    def __init__(
-        self,
-        std: NonNegative = 0.0,
-        drift: NonNegative = 0.0,
-        lag: NonNegative = 0.0,
-        resolution: NonNegative = 0.0,
-        lost: Share = 0.0,
-    ) -> None:
-        self._std, self._drift, self._lag, self._resolution, self._lost = std, drift, lag, resolution, lost
+    std: NonNegative = 0.0
+    drift: NonNegative = 0.0
+    lag: NonNegative = 0.0
+    resolution: NonNegative = 0.0
+    lost: Share = 0.0
+
+    def __post_init__(self) -> None:
         self._smooth: torch.Tensor | None
         for name in ("_smooth", "_walk", "_last", "_is_first", "_time_constant"):
             self.buffer(name, None)
@@ -136,16 +135,16 @@ class SensorErrors(Stateful):
         if self._smooth is None:
             self._smooth, self._walk, self._last = value.clone(), torch.zeros_like(value), value.clone()
             self._is_first = torch.ones(len(value), *[1] * (value.ndim - 1), dtype=torch.bool, device=value.device)
-            self._time_constant = self._lag * torch.rand(self._is_first.shape, generator=generator, device=value.device)
+            self._time_constant = self.lag * torch.rand(self._is_first.shape, generator=generator, device=value.device)
         smooth = self._smooth + (value - self._smooth) / (1.0 + self._time_constant)
         self._smooth = torch.where(self._is_first, value, smooth)
         normal = torch.randn((2, *value.shape), generator=generator, device=value.device)
-        self._walk = self._walk + self._drift * normal[0]
-        reading = self._smooth + self._walk + self._std * normal[1]
-        if self._resolution:
-            reading = (reading / self._resolution).round() * self._resolution
+        self._walk = self._walk + self.drift * normal[0]
+        reading = self._smooth + self._walk + self.std * normal[1]
+        if self.resolution:
+            reading = (reading / self.resolution).round() * self.resolution
         u = torch.rand(self._is_first.shape, generator=generator, device=value.device)
-        self._last = torch.where((u < self._lost) & ~self._is_first, self._last, reading)
+        self._last = torch.where((u < self.lost) & ~self._is_first, self._last, reading)
         self._is_first = torch.zeros_like(self._is_first)
         return self._last
 
@@ -154,7 +153,7 @@ class SensorErrors(Stateful):
         if self._smooth is None:
             return
         rows = (len(env_ids), *self._is_first.shape[1:])
-        drawn = self._lag * torch.rand(rows, generator=generator, device=env_ids.device)
+        drawn = self.lag * torch.rand(rows, generator=generator, device=env_ids.device)
         self._time_constant = self._time_constant.index_copy(0, env_ids, drawn)
         self._is_first = self._is_first.index_fill(0, env_ids, True)
         self._walk = self._walk.index_fill(0, env_ids, 0.0)

@@ -11,10 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from wheelleg_exp.rendering import render_scene
-from wheelleg_exp.rendering.camera_job import FORMS, CameraOrder, Layer, Poses
+from wheelleg_exp.rendering.camera_job import FORMS, CameraOrder, Poses
 from wheelleg_exp.rendering.render_job import Order, View
 from wheelleg_exp.rendering.render_scene import Array, points
-from wheelleg_exp.rendering.renderer import GraphicsWorker, drawing, working
+from wheelleg_exp.rendering.renderer import Drawing, GraphicsWorker, drawing, working
 from wheelleg_exp.rendering.scene_models import Kinematics, scene_of_model
 
 _SAMPLES = 4
@@ -31,18 +31,17 @@ class LivePictures:
         self._width, self._height = width, height
         self._poses = Kinematics(model)
         self._open = ExitStack()
-        self._started = False
+        self._process: Drawing | None = None
 
     def draw(self, qpos: Array) -> NDArray[np.uint8]:
         """Return a picture (height, width, 3) at joint positions (nq,); raise WheellegError if drawing fails."""
         qpos = np.where(np.isfinite(qpos), qpos, self._model.qpos0)
-        if not self._started:
+        if self._process is None:
             scene = scene_of_model(self._model, self._root, self._poses.height(self._root, qpos))
             cloud = points(scene, self._poses.xpos[1:], self._poses.xquat[1:]) - self._poses.xpos[self._root]
             self._centre = np.array([0.0, 0.0, (cloud[:, 2].min() + cloud[:, 2].max()) / 2])
             self._distance = render_scene.camera_distance(cloud - self._centre, self._width / self._height)
             self._process = self._open.enter_context(drawing(Order(scene, self._width, self._height, _SAMPLES)))
-            self._started = True
         self._poses.update(qpos)
         pos, quat = self._poses.xpos[1:].copy(), self._poses.xquat[1:].copy()
         lookat = pos[self._root - 1] + self._centre
@@ -52,22 +51,14 @@ class LivePictures:
     def close(self) -> None:
         """Stop the process that draws pictures; the next picture starts a new process."""
         self._open.close()
-        self._started = False
+        self._process = None
 
 
 class CameraPictures:
-    """Draws pictures of a camera sensor (see ``CameraOrder``) in a child process that starts with the first picture."""
+    """Draws pictures of a camera sensor in a child process that starts with the first picture."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        camera: str,
-        width: int,
-        height: int,
-        clipping_range: tuple[float, float],
-        layers: tuple[Layer, ...],
-    ) -> None:
-        self._order = CameraOrder(model, camera, width, height, clipping_range, layers)
+    def __init__(self, order: CameraOrder) -> None:
+        self._order = order
         self._worker: GraphicsWorker | None = None
         self._open = ExitStack()
         weakref.finalize(self, self._open.close)

@@ -174,7 +174,18 @@ def build_model(scene: Scene, width: int, height: int, samples: int) -> mujoco.M
     spec.visual.map.shadowclip = 8.0 if scene.fixed else 2.5
     spec.visual.quality.shadowsize = 4096 if height > _FINE_SHADOWS_FROM or scene.fixed else 2048
     if scene.ground is not None:
-        _floor(spec, scene.ground.height, scene.ground.tile)
+        texture = spec.add_texture(
+            name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+            width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
+        )  # fmt: skip
+        # MuJoCo's checker texture has 2 x 2 squares, so a texture of width 2 * tile shows squares of width ``tile``.
+        repeat = [0.5 / scene.ground.tile] * 2
+        material = spec.add_material(name="floor", texuniform=True, texrepeat=repeat, specular=0.05)
+        material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
+        spec.worldbody.add_geom(
+            name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, scene.ground.height],
+            material="floor", contype=0, conaffinity=0,
+        )  # fmt: skip
     # The body ``rig`` follows the robot with a main light that casts shadows, and a weak light on the opposite side.
     rig = spec.worldbody.add_body(name=RIG, mocap=True)
     for place, strength, shadow in (((-1.1, -1.5, 3.0), 0.62, True), ((1.8, 1.2, 1.6), 0.16, False)):
@@ -209,20 +220,6 @@ def _look(spec: mujoco.MjSpec, size: float, width: int, height: int, samples: in
     spec.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         width=64, height=384, rgb1=_SKY_TOP, rgb2=_SKY_HORIZON,
-    )  # fmt: skip
-
-
-def _floor(spec: mujoco.MjSpec, height: float, tile: float) -> None:
-    texture = spec.add_texture(
-        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        width=512, height=512, rgb1=_FLOOR_LIGHT, rgb2=_FLOOR_DARK,
-    )  # fmt: skip
-    # MuJoCo's checker texture has 2 x 2 squares, so a texture of width 2 * tile shows squares of width ``tile``.
-    material = spec.add_material(name="floor", texuniform=True, texrepeat=[0.5 / tile, 0.5 / tile], specular=0.05)
-    material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = texture.name
-    spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, height], material="floor",
-        contype=0, conaffinity=0,
     )  # fmt: skip
 
 

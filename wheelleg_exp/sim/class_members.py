@@ -63,7 +63,7 @@ class UnsupportedMember:
     def __init__(self, name: str, why: str) -> None:
         self.name, self.why = name, why
 
-    def __get__(self, instance: object, owner: type) -> Any:
+    def __get__(self, instance: object, owner: type) -> object:
         if instance is None:
             return self
         message = f"Isaac Lab's attribute '{self.name}' does not exist in MuJoCo: {self.why}"

@@ -45,6 +45,11 @@ class Robot(Stateful):
     followed by an angular velocity, rad/s. A root state is a pose followed by a velocity. Joint parameters are a tensor
     (n, k) for n environments and k joints, or one number for all joints. Actuator gains and limits have no effect on a
     joint without an actuator.
+
+    Attributes:
+        num_joints: number of joints, J.
+        num_bodies: number of bodies, B.
+        is_fixed_base: whether the base is fixed.
     """
 
     def __init__(
@@ -57,6 +62,8 @@ class Robot(Stateful):
     ) -> None:
         self.options = options
         self.layout = RobotLayout(options, spec, root_name, device)
+        self.num_joints, self.num_bodies = len(self.joint_names), len(self.body_names)
+        self.is_fixed_base = not self.layout.floating
         self.actuators = self.child("actuators", dict(actuators))
         for name, actuator in self.actuators.items():
             with self._blamed(name):
@@ -212,22 +219,7 @@ class Robot(Stateful):
     body_names = alias_of("layout.body_names", "Names of the bodies, breadth first.")
     joint_names = alias_of("layout.joint_names", "Names of the joints in the order that terms see.")
 
-    @property
-    def num_joints(self) -> int:
-        """Number of joints, J."""
-        return len(self.joint_names)
-
-    @property
-    def num_bodies(self) -> int:
-        """Number of bodies, B."""
-        return len(self.body_names)
-
     num_instances = alias_of("_sim.num_envs", "Number of environments, N.")
-
-    @property
-    def is_fixed_base(self) -> bool:
-        """Whether the base is fixed."""
-        return not self.layout.floating
 
     device = alias_of("_sim.device", "Device of the robot's tensors.")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -92,7 +91,7 @@ class RobotLayout:
     def _ids(self, ids: Iterable[int]) -> torch.Tensor:
         return torch.tensor(list(ids), dtype=torch.long, device=self._device)
 
-    def _numbers(self, values: Any) -> torch.Tensor:
+    def _numbers(self, values: object) -> torch.Tensor:
         return torch.tensor(values, dtype=torch.float32, device=self._device)
 
 

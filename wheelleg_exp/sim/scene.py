@@ -82,6 +82,7 @@ class Scene(Stateful):
             require_base_called(sensor, "body_names", "add_to(spec, name, robot)")
         self.spec = spec
         self._sim_options = sim
+        self.physics_dt = sim.dt  # s
         self._stream = stream
 
     def play(self) -> None:
@@ -143,11 +144,6 @@ class Scene(Stateful):
     def rigid_objects(self) -> dict[str, object]:
         """An empty dictionary of rigid objects, because the robot is the only moving body of the scene."""
         return {}
-
-    @property
-    def physics_dt(self) -> float:
-        """The physics step, s."""
-        return self._sim_options.dt
 
     def contact_sensor(self, name: str) -> ContactSensor:
         """Return a contact sensor by name; raise ConfigError if no contact sensor has that name."""

@@ -133,19 +133,25 @@ def test_behind_a_linkage_the_largest_torque_follows_from_the_position(make_env,
 
 
 @pytest.mark.parametrize(
-    ("model", "fields", "key"),
+    ("model", "key", "fields", "words"),
     [
-        ("DelayedPDActuator", {"min_delay": 3, "max_delay": 2}, "min_delay"),
-        ("ImplicitActuator", {"delay": [2, 1]}, "delay"),
-        ("ImplicitActuator", {"delay": [0.5, 1]}, "delay"),
-        ("DCMotor", {"saturation_effort": 0.0}, "saturation_effort"),
-        ("RemotizedPDActuator", {"joint_parameter_lookup": TABLE[:1]}, "joint_parameter_lookup"),
-        ("RemotizedPDActuator", {"joint_parameter_lookup": TABLE[::-1]}, "joint_parameter_lookup"),
-        ("RemotizedPDActuator", {"joint_parameter_lookup": [[0.0, 1.0], [1.0, 1.0]]}, "joint_parameter_lookup"),
+        ("ImplicitActuator", "stiffness", {"stiffness": {"left_.*": 5.0}}, "no value for joint right_hip"),
+        ("ImplicitActuator", "damping", {"damping": -1.0}, "at least 0"),
+        ("ImplicitActuator", "joint_names_expr", {"joint_names_expr": ["hip"]}, "matches nothing"),
+        ("ImplicitActuator", "effort_limit", {"effort_limit": {"left_ankle": 1.0}}, "matches nothing"),
+        ("DelayedPDActuator", "min_delay", {"min_delay": 3, "max_delay": 2}, "more than max_delay, 2"),
+        ("ImplicitActuator", "delay", {"delay": [2, 1]}, ""),
+        ("ImplicitActuator", "delay", {"delay": [0.5, 1]}, ""),
+        ("DCMotor", "saturation_effort", {"saturation_effort": 0.0}, ""),
+        *(
+            ("RemotizedPDActuator", "joint_parameter_lookup", {"joint_parameter_lookup": rows}, "")
+            for rows in (TABLE[:1], TABLE[::-1], [[0.0, 1.0], [1.0, 1.0]])
+        ),
     ],
 )
-def test_wrong_numbers_name_their_key(make_env, model, fields, key):
+def test_wrong_numbers_name_their_key(make_env, model, key, fields, words):
     limits = ("effort_limit", "velocity_limit") if model == "RemotizedPDActuator" else ()
     with pytest.raises(ConfigError) as caught:
         with_hips(make_env, model, limits, **fields)
     assert caught.value.key == f"env.robot.actuators.hips.{key}"
+    assert words in str(caught.value)

@@ -2,7 +2,6 @@ import pytest
 import torch
 
 from sim.small_envs import env_config, env_of, physics_step, variant
-from wheelleg_exp.errors import ConfigError
 
 ALL = torch.arange(4)
 KP = torch.tensor([20.0, 20.0, 0.0, 0.0])
@@ -66,37 +65,15 @@ def test_armatures_and_gains_reach_the_model(start_env):
     assert (drive.biasprm[:3].tolist(), drive.gainprm[0], drive.forcerange.tolist()) == ([0, -20, -1], 1, [-4, 4])
 
 
-def test_without_an_armature_the_assets_is_used(tmp_path):
-    path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" armature=".07"')
-    assert env_of(path, env_config(robot=_hips(armature=None))).scene.model.joint("left_hip").armature[0] == 0.07
-
-
-def test_frictions_reach_the_model(tmp_path):
-    path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" frictionloss=".07"')
-    hips = _hips(friction={"right_hip": 0.2}, viscous_friction=0.3)
+def test_numbers_by_joint_reach_the_model_and_the_asset_has_the_missing_ones(tmp_path):
+    path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" frictionloss=".07" armature=".05"')
+    friction = {"friction": {"right_hip": 0.2}, "viscous_friction": 0.3}
+    hips = _hips(stiffness={"left_.*": 5.0, "right_.*": 7.0}, armature=None, **friction)
     model = env_of(path, env_config(robot=hips)).scene.model
+    assert model.joint("left_hip").armature[0] == 0.05
+    assert [model.actuator(f"{side}_hip").biasprm[1] for side in ("left", "right")] == [-5, -7]
     found = [(model.joint(name).frictionloss[0], model.joint(name).damping[0]) for name in ("left_hip", "right_hip")]
     assert found == [(0.07, 0.3), (0.2, 0.3)]
-
-
-def test_numbers_by_joint_reach_their_joints(make_env):
-    env = make_env(robot=_hips(stiffness={"left_.*": 5.0, "right_.*": 7.0}))
-    assert [env.scene.model.actuator(f"{side}_hip").biasprm[1] for side in ("left", "right")] == [-5, -7]
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("stiffness", {"left_.*": 5.0}, "no value for joint right_hip"),
-        ("damping", -1.0, "at least 0"),
-        ("joint_names_expr", ["hip"], "matches nothing"),
-        ("effort_limit", {"left_ankle": 1.0}, "matches nothing"),
-    ],
-)
-def test_wrong_numbers_name_their_key(make_env, key, value, message):
-    with pytest.raises(ConfigError, match=message) as caught:
-        make_env(robot=_hips(**{key: value}))
-    assert caught.value.key == f"env.robot.actuators.hips.{key}"
 
 
 @pytest.fixture

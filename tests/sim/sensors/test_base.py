@@ -13,14 +13,10 @@ def _env(start_env, **settings):
     return env, env.scene["height"]
 
 
-def test_a_sensor_is_a_member_of_the_scene_with_its_own_stream(start_env):
+def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(start_env):
     env, sensor = _env(start_env)
     assert (list(env.scene), sensor.key) == (["robot", "terrain", "height"], "env.scene.sensors.height")
     assert sensor.key in env.streams.state_dict()["generators"]
-
-
-def test_it_measures_after_every_physics_step_and_is_refreshed_after_resets(start_env):
-    env, sensor = _env(start_env)
     env.step(torch.zeros(4, 4))
     assert sensor.measured.tolist() == [2] * 4
     torch.testing.assert_close(sensor.height, env.scene.robot.data.root_pos_w[:, 2], atol=0.01, rtol=0)

@@ -206,7 +206,7 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     if type(command) is not UniformVelocityTravelCommand:
         message = f"a runner does not know how a '{type(command).__name__}' sums up its error"
         raise ConfigError(message, key=term.path, expected="a UniformVelocityTravelCommand")
-    most = command._most[0].tolist()
+    most = command._most.tolist()
     columns, names = _joints(env, command._wheel_ids)
     return {
         "function": "travel_error",

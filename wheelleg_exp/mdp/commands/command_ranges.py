@@ -91,12 +91,12 @@ class NullCommand(CommandTerm):
 
     def __init__(self, env: Env, generator: torch.Generator) -> None:
         super().__init__(env, (1.0, 1.0), (), generator)
-        self._nothing = (torch.zeros(env.num_envs, 0, device=env.device),)
+        self._nothing = torch.zeros(env.num_envs, 0, device=env.device)
 
     @property
     def command(self) -> torch.Tensor:
         """The empty command, (N, 0)."""
-        return self._nothing[0]
+        return self._nothing
 
     def errors(self) -> torch.Tensor:
         return self.error_sums

@@ -131,11 +131,11 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
             expected += f", which has {', '.join(patches)}" if patches else ""
             message = "the terrain has no flat patches named 'target', which this command needs"
             raise ConfigError(message, expected=expected)
-        self._patches = (patches["target"],)
+        self._patches = patches["target"]
 
     def _places(self, env_ids: torch.Tensor, drawn: torch.Tensor) -> torch.Tensor:
         del drawn
-        patches, terrain = self._patches[0], self._env.scene.terrain
+        patches, terrain = self._patches, self._env.scene.terrain
         size, device = (len(env_ids),), patches.device
         chosen = torch.randint(patches.shape[2], size, generator=self._generator, device=device)
         return patches[terrain.terrain_levels[env_ids], terrain.terrain_types[env_ids], chosen]

@@ -150,7 +150,6 @@ class NormalVelocityCommand(UniformVelocityCommand):
         asset_name: str = "robot",
     ) -> None:
         super().__init__(env, {}, resampling_time_range, generator, rel_standing_envs, asset_name=asset_name)
-        # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.
         self._moments = tuple(torch.tensor(list(ranges[name]), device=env.device) for name in get_args(_Moment))
         is_zero_vel_env = torch.zeros(env.num_envs, 3, dtype=torch.bool, device=env.device)
         self.is_zero_vel_env = self.buffer("is_zero_vel_env", is_zero_vel_env)
@@ -222,22 +221,19 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._wheel_ids, self._radius = wheel_cfg.joint_ids, wheel_radius
         signs = rolling_signs(env.scene.sim.model, self._wheels, wheel_cfg.joint_ids)
         self.wheel_signs = tuple(signs)
-        self._signs = (torch.tensor(signs, device=env.device),)
+        self._signs = torch.tensor(signs, device=env.device)
         self.travel_error = self.buffer("travel_error", torch.zeros(env.num_envs, 2, device=env.device))
         self._asked = self.buffer("_asked", torch.zeros(env.num_envs, 3, device=env.device))
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
-        # Store constants in a tuple, because checkpoints save all tensor attributes of a command term.
-        self._fastest = (torch.tensor(most, device=env.device) * env.step_dt,)
-        self._most = (torch.tensor([max_travel_error, max_heading_error], device=env.device),)
+        self._fastest = torch.tensor(most, device=env.device) * env.step_dt
+        self._most = torch.tensor([max_travel_error, max_heading_error], device=env.device)
 
     def compute(self, dt: float) -> torch.Tensor:
-        (signs,) = self._signs
-        rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * signs).mean(dim=1) * self._radius
+        rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * self._signs).mean(dim=1) * self._radius
         turned = self.robot.data.root_ang_vel_measured[:, 2]
         missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
-        (most,) = self._most
-        self.travel_error.add_(missed * dt).clamp_(-most, most)
+        self.travel_error.add_(missed * dt).clamp_(-self._most, self._most)
         return super().compute(dt)
 
     @property
@@ -246,14 +242,13 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     def post_process(self) -> None:
         super().post_process()
-        (most,) = self._fastest
-        self._command.add_((self._asked - self._command).clamp_(-most, most))
+        self._command.add_((self._asked - self._command).clamp_(-self._fastest, self._fastest))
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         fill_rows(self.travel_error, env_ids, 0.0)
         log = super().finish_episode(env_ids)
-        (most,) = self._fastest
-        self._command.index_copy_(0, env_ids, self._asked.index_select(0, env_ids).clamp(-most, most))
+        asked = self._asked.index_select(0, env_ids).clamp(-self._fastest, self._fastest)
+        self._command.index_copy_(0, env_ids, asked)
         return log
 
 

@@ -109,7 +109,7 @@ class Network:
         raise ConfigError(f"the network {reason}", key=self._key, expected=expected)
 
 
-def _kinds(block: Any) -> Iterator[str]:
+def _kinds(block: torch.Graph | torch.Block) -> Iterator[str]:
     for node in block.nodes():
         yield node.kind()
         for inner in node.blocks():

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.rendering.scene_models import mesh
 from wheelleg_exp.sim.terrain import TERRAIN_KEY, is_ground
 
 GROUND_PATH, ROBOTS = "/World/ground", "/World/robots"
@@ -155,7 +156,7 @@ def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instan
     ``shapes`` become colliders, because PhysX ignores a collider without a shape of its own.
     """
     children: dict[str, list[str]] = {}
-    for path in (*paths, *instances, *shapes):
+    for path in (*paths, *sorted(instances), *sorted(shapes)):
         children.setdefault(path, [])
         for parent in (str(p) for p in Path(path).parents):
             if path not in children.setdefault(parent, []):
@@ -199,7 +200,8 @@ def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
         faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
         points, triangles = signs * size, np.array([[f[0], f[i], f[i + 1]] for f in faces for i in (1, 2)])
     elif kind == mujoco.mjtGeom.mjGEOM_HFIELD:
-        points, triangles = _height_field(model, int(model.geom_dataid[geom]))
+        points, pairs, _ = mesh(model, geom)
+        triangles = pairs.reshape(-1, 2, 3).swapaxes(0, 1).reshape(-1, 3)  # first one of each cell, then the other
     else:
         message = f"the ground has a geom of the type {kind.name.removeprefix('mjGEOM_').lower()}"
         raise ConfigError(message, key=TERRAIN_KEY, expected="planes, boxes and height fields, or engine: mujoco")
@@ -212,18 +214,6 @@ def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
         uniform token subdivisionScheme = "none"
         {pose}
 }}"""
-
-
-def _height_field(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices (V, 3), m, and triangles (F, 3) of a height field; MuJoCo splits cells in the same way."""
-    rows, cols, start = int(model.hfield_nrow[field]), int(model.hfield_ncol[field]), int(model.hfield_adr[field])
-    width, depth, top, _ = model.hfield_size[field]
-    y, x = np.meshgrid(np.linspace(-depth, depth, rows), np.linspace(-width, width, cols), indexing="ij")
-    z = model.hfield_data[start : start + rows * cols].reshape(rows, cols) * top
-    ids = np.arange(rows * cols).reshape(rows, cols)
-    low, right, up, far = ids[:-1, :-1], ids[:-1, 1:], ids[1:, :-1], ids[1:, 1:]
-    triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((low, right, far), (low, far, up))]
-    return np.stack((x, y, z), axis=-1).reshape(-1, 3), np.concatenate(triangles)
 
 
 def open_scene(path: Path, threads: int) -> tuple[Any, Any]:

@@ -12,7 +12,7 @@ import torch
 from wheelleg_exp import constraints
 from wheelleg_exp.constraints import Broken, Count, NonNegative, NotEmpty, Positive, relation
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.rendering.camera_job import Layer
+from wheelleg_exp.rendering.camera_job import CameraOrder, Layer
 from wheelleg_exp.rendering.live_pictures import CameraPictures
 from wheelleg_exp.rendering.renderer import NoGraphics, too_many
 from wheelleg_exp.sim import rotation
@@ -191,15 +191,11 @@ class Camera(LazySensor):
         self.body_names = [self._mount.body]
         quat = convert_convention(torch.tensor([self._offset["rot"]], device="cpu"), "world", "opengl")[0].tolist()
         body = spec.body(self._mount.body)
-        camera = body.add_camera(name=self._name_in_model, pos=self._offset["pos"], quat=quat)
+        camera = body.add_camera(name=f"sensor/{name}", pos=self._offset["pos"], quat=quat)
         camera.resolution, camera.sensor_size = self.image_shape[::-1], self._aperture
         # A positive ``principal_length`` of a MuJoCo camera shifts the image's centre to the left and up.
         camera.focal_length = [self._focal_length] * 2
         camera.principal_length = [-self._focal_length * shift for shift in self._shift]
-
-    @property
-    def _name_in_model(self) -> str:
-        return f"sensor/{self.name}"
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
@@ -219,7 +215,8 @@ class Camera(LazySensor):
             self._data.add_output(kind, {"rgb": 3, "rgba": 4}.get(kind, 1), dtype)
         layers = tuple(dict.fromkeys(_LAYERS.get(kind, "geom") for kind in self._data_types))
         height, width = self.image_shape
-        self._pictures = CameraPictures(sim.model, self._name_in_model, width, height, self._range, layers)
+        order = CameraOrder(sim.model, f"sensor/{self.name}", width, height, self._range, layers)
+        self._pictures = CameraPictures(order)
 
     def sense(self, ids: torch.Tensor | slice) -> None:
         """Render the images of the environments ``ids``; raise NoGraphics or SimulationFailure if rendering fails."""

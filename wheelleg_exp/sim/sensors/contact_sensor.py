@@ -26,13 +26,8 @@ if TYPE_CHECKING:
 
 # ``_SIZES`` maps each data field of MuJoCo's contact sensor to the number of its components.
 _SIZES = {"found": 1, "force": 3, "pos": 3, "normal": 3, "tangent": 3}
-FIELDS = tuple(_SIZES)
-NORMAL = ("found", "force", "normal")  # Normal contact forces are computed from the sensor fields in ``NORMAL``.
-
-
-def width(fields: tuple[str, ...]) -> int:
-    """Return how many numbers a contact sensor reports for one contact."""
-    return sum(_SIZES[name] for name in fields)
+_NORMAL = ("found", "force", "normal")  # Normal contact forces are computed from these sensor fields.
+_WIDTH = sum(_SIZES[name] for name in _NORMAL)
 
 
 def summed(pressures: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
@@ -174,9 +169,6 @@ class ContactSensorData(Stateful):
                 value.index_fill_(0, ids, 0.0)
 
 
-_WIDTH = width(NORMAL)
-
-
 class ContactSensor(SensorBase):
     """Sum of the normal contact forces on each sensed body in the last physics step, in world axes.
 
@@ -213,6 +205,7 @@ class ContactSensor(SensorBase):
         self._filters = [filters] if isinstance(filters, str) else list(filters)
         self._track_pose = track_pose
         self._tracked = {"track_contact_points": track_contact_points, "track_friction_forces": track_friction_forces}
+        self._fields_of_pairs = tuple(_SIZES) if any(self._tracked.values()) else _NORMAL
         self._expressions = body_names
         self._history_length = max(1, history_length)
         self.track_air_time = track_air_time
@@ -234,14 +227,10 @@ class ContactSensor(SensorBase):
                 expected = f"false, or bodies or ground in {self.key}.filter_body_names"
                 raise ConfigError(message, key=f"{self.key}.{option}", expected=expected)
         for body in self.body_names:
-            self._sense(spec, body, NORMAL, {})
+            self._sense(spec, body, _NORMAL, {})
         for body, other in product(self.body_names, self.filter_names):
             to = {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": "world" if other == GROUND else other}
             self._sense(spec, body, self._fields_of_pairs, to, f"/{other}")
-
-    @property
-    def _fields_of_pairs(self) -> tuple[str, ...]:
-        return FIELDS if any(self._tracked.values()) else NORMAL
 
     def _sense(
         self, spec: mujoco.MjSpec, body: str, fields: tuple[str, ...], ref: dict[str, object], suffix: str = ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import mujoco
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.sim.robot import Robot
 
 
+@dataclass
 class ImuNoise:
     """Noise and bias of an accelerometer (m/s^2) or a gyroscope (rad/s), drawn independently for each axis.
 
@@ -29,8 +31,9 @@ class ImuNoise:
         bias_walk: random walk of the bias: its standard deviation after 1 s.
     """
 
-    def __init__(self, std: NonNegative = 0.0, bias_range: Interval = (0.0, 0.0), bias_walk: NonNegative = 0.0) -> None:
-        self.std, self.bias_range, self.bias_walk = std, bias_range, bias_walk
+    std: NonNegative = 0.0
+    bias_range: Interval = (0.0, 0.0)
+    bias_walk: NonNegative = 0.0
 
 
 class ImuData(Stateful):

@@ -71,15 +71,11 @@ class RayCaster(LazySensor):
         super().__init__(update_period)
         if not isinstance(pattern, PatternBase):
             raise ConfigError("is not a pattern", key="pattern", expected="a _target_ of PatternBase")
-        self._body, self._pattern, self._offset = body_name, pattern, offset
+        self._body, self._offset = body_name, offset
+        self.pattern_cfg = pattern  # its name in Isaac Lab's ``sensor.cfg``
         self._alignment, self._max_distance = ray_alignment, max_distance
         cast = ray_cast_drift_range or {}
         self._drift_ranges = [drift_range] * 3 + [cast.get(axis, (0.0, 0.0)) for axis in ("x", "y", "z")]
-
-    @property
-    def pattern_cfg(self) -> PatternBase:
-        """The pattern of rays, under its name in Isaac Lab's ``sensor.cfg``."""
-        return self._pattern
 
     def add_to(self, spec: mujoco.MjSpec, name: str, robot: Robot) -> None:
         super().add_to(spec, name, robot)
@@ -88,7 +84,7 @@ class RayCaster(LazySensor):
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         super().connect(sim, stream)
-        starts, directions = self._pattern.checked_rays(sim.device)
+        starts, directions = self.pattern_cfg.checked_rays(sim.device)
         pos, quat = offset_pose(self._offset, sim.device)
         turn = rotation.quat_to_matrix(quat.unsqueeze(0))[0]
         directions = torch.nn.functional.normalize(directions, dim=1) @ turn.T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import torch
@@ -47,6 +48,7 @@ class PatternBase:
         raise ConfigError(message, key="pattern", where=code_place(self.rays), expected=expected)
 
 
+@dataclass(eq=False)
 class GridPattern(PatternBase):
     """Parallel rays that start on a grid centred on the sensor; the outermost rays start on the edges of the grid.
 
@@ -57,14 +59,10 @@ class GridPattern(PatternBase):
         ordering: index order of the rays: x varies fastest (``xy``), or y (``yx``).
     """
 
-    def __init__(
-        self,
-        resolution: Positive,
-        size: Annotated[Sequence[float], Length(2)],
-        direction: Annotated[Sequence[float], Length(3), NotAllZero()] = (0.0, 0.0, -1.0),
-        ordering: Literal["xy", "yx"] = "xy",
-    ) -> None:
-        self.resolution, self.size, self.direction, self.ordering = resolution, size, direction, ordering
+    resolution: Positive
+    size: Annotated[Sequence[float], Length(2)]
+    direction: Annotated[Sequence[float], Length(3), NotAllZero()] = (0.0, 0.0, -1.0)
+    ordering: Literal["xy", "yx"] = "xy"
 
     def rays(self, device: torch.device) -> Rays:
         x, y = (torch.arange(-length / 2, length / 2 + 1e-9, self.resolution, device=device) for length in self.size)
@@ -80,6 +78,7 @@ def _angles_in_radians(vertical_fov_range: Sequence[float], horizontal_fov_range
 
 
 @relation(_angles_in_radians)
+@dataclass(eq=False)
 class LidarPattern(PatternBase):
     """Rays of a rotating lidar: beams at several elevations that rotate about z, all from one point.
 
@@ -90,18 +89,18 @@ class LidarPattern(PatternBase):
         horizontal_res: largest angle between neighbouring azimuths, rad.
     """
 
-    def __init__(
-        self, channels: Count, vertical_fov_range: Interval, horizontal_fov_range: Interval, horizontal_res: Positive
-    ) -> None:
-        self._channels, self._vertical = channels, vertical_fov_range
-        self._horizontal, self._resolution = horizontal_fov_range, horizontal_res
+    channels: Count
+    vertical_fov_range: Interval
+    horizontal_fov_range: Interval
+    horizontal_res: Positive
 
     def rays(self, device: torch.device) -> Rays:
-        low, high = self._horizontal
-        steps = math.ceil((high - low) / self._resolution - 1e-9)
+        low, high = self.horizontal_fov_range
+        steps = math.ceil((high - low) / self.horizontal_res - 1e-9)
         azimuth = torch.linspace(low, high, steps + 1, device=device)
         azimuth = azimuth[:-1] if abs(high - low - _TURN) < 1e-6 else azimuth
-        elevation = torch.linspace(self._vertical[0], self._vertical[1], self._channels, device=device)
+        lowest, highest = self.vertical_fov_range
+        elevation = torch.linspace(lowest, highest, self.channels, device=device)
         return _from_origin(*torch.meshgrid(elevation, azimuth, indexing="ij"))
 
 

@@ -121,7 +121,14 @@ class HeightField(_FromFile):
         self._range = height_range
 
     def _read(self, file: Path) -> tuple[Array, tuple[float, float], tuple[float, float]]:
-        values = self._npy(file) if file.suffix.lower() == ".npy" else self._png(file)
+        if file.suffix.lower() == ".npy":
+            try:
+                values = np.load(file, mmap_mode="r", allow_pickle=False)
+            except (ValueError, OSError, EOFError) as error:
+                message = f"the file '{self.file}' is not a NumPy array"
+                raise ConfigError(message, key=_KEY, expected="a .npy file") from error
+        else:
+            values = self._png(file)
         good = values.ndim == 2 and min(values.shape) >= 2 and values.size <= _LARGEST and values.dtype.kind in "fiub"
         if not good or not np.isfinite(heights := np.array(values, dtype=float)).all():
             message = f"'{self.file}' contains {' x '.join(map(str, values.shape))} values of type {values.dtype}"
@@ -130,13 +137,6 @@ class HeightField(_FromFile):
             low, high = self._range
             heights = low + (high - low) * heights
         return heights, (0.0, 0.0), self._size
-
-    def _npy(self, file: Path) -> np.ndarray:
-        try:
-            return np.asarray(np.load(file, mmap_mode="r", allow_pickle=False))
-        except (ValueError, OSError, EOFError) as error:
-            message = f"the file '{self.file}' is not a NumPy array"
-            raise ConfigError(message, key=_KEY, expected="a .npy file") from error
 
     def _png(self, file: Path) -> np.ndarray:
         from matplotlib.image import imread
