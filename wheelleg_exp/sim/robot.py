@@ -182,16 +182,13 @@ class Robot(Stateful):
         for name, actuator in self.actuators.items():
             with self._blamed(name, has_worked=True):
                 actuator.begin(ids)
-        self._mark_stale(ids)
+        self.mark_written(ids)
 
     def mark_written(self, ids: torch.Tensor) -> None:
         """Mark the state or parameters of the robot in the environments ``ids`` as written, which clears caches."""
-        self._mark_stale(ids)
-        self.data.invalidate()
-
-    def _mark_stale(self, ids: torch.Tensor) -> None:
         if not any(ids is known for known in self._stale):
             self._stale.append(ids)
+        self.data.invalidate()
 
     def take_stale(self) -> torch.Tensor | None:
         """Return ids (n,) of the environments whose robot state was written since the last call, or None."""
@@ -218,9 +215,7 @@ class Robot(Stateful):
 
     body_names = alias_of("layout.body_names", "Names of the bodies, breadth first.")
     joint_names = alias_of("layout.joint_names", "Names of the joints in the order that terms see.")
-
     num_instances = alias_of("_sim.num_envs", "Number of environments, N.")
-
     device = alias_of("_sim.device", "Device of the robot's tensors.")
 
     @property

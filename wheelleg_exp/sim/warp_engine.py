@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import mujoco
@@ -331,7 +332,7 @@ class WarpEngine(Engine):
 class DataFields:
     """The fields of mujoco-warp's data as torch tensors, in MuJoCo's shapes."""
 
-    def __init__(self, wp: Any, data: Any, model: mujoco.MjModel) -> None:
+    def __init__(self, wp: ModuleType, data: Any, model: mujoco.MjModel) -> None:
         self._wp, self._data = wp, data
         self._like = mujoco.MjData(model)
         self._views: dict[str, torch.Tensor] = {}
@@ -358,7 +359,7 @@ class DataFields:
 class ModelFields:
     """The fields of mujoco-warp's model, each with one value for all simulations or one value per simulation."""
 
-    def __init__(self, wp: Any, on_device: Any, model: mujoco.MjModel, num_envs: int) -> None:
+    def __init__(self, wp: ModuleType, on_device: Any, model: mujoco.MjModel, num_envs: int) -> None:
         self._wp, self._on_device, self._model, self._num_envs = wp, on_device, model, num_envs
         self.own: dict[str, torch.Tensor] = {}
         self._first: dict[str, torch.Tensor] = {}

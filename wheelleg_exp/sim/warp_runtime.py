@@ -65,7 +65,7 @@ def require_device(device: torch.device) -> None:
         raise ConfigError(message, key=DEVICE, expected="one of " + ", ".join(known))
 
 
-def put_model(mjw: Any, model: mujoco.MjModel) -> Any:
+def put_model(mjw: ModuleType, model: mujoco.MjModel) -> Any:
     """Convert a MuJoCo model to mujoco-warp; raise ConfigError if mujoco-warp cannot simulate the model."""
     try:
         with warnings.catch_warnings():
@@ -85,7 +85,7 @@ class Graphs:
     captures a CUDA graph becomes part of torch's graph.
     """
 
-    def __init__(self, wp: Any, device: torch.device, wanted: bool) -> None:
+    def __init__(self, wp: ModuleType, device: torch.device, wanted: bool) -> None:
         self._wp, self._device = wp, device
         self.place = wp.device_from_torch(device)
         self._wanted = wanted and device.type == "cuda"

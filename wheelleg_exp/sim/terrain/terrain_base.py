@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +16,6 @@ import torch
 from wheelleg_exp.constraints import NonNegative, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import CombineMode
 from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_errors import code_place, described, dotted_name
@@ -28,21 +28,20 @@ class Probe:
 
     def __init__(self, add_to: Callable[[mujoco.MjSpec], None]) -> None:
         self._add_to = add_to
-        self._model: mujoco.MjModel | None = None
-        self._engine: Engine | None = None
 
+    @cached_property
     def model(self) -> mujoco.MjModel:
-        """Return a model that contains only the ground."""
-        if self._model is None:
-            spec = mujoco.MjSpec()
-            self._add_to(spec)
-            self._model = spec.compile()
-        return self._model
+        """A model that contains only the ground."""
+        spec = mujoco.MjSpec()
+        self._add_to(spec)
+        return spec.compile()
+
+    @cached_property
+    def _engine(self) -> BatchEngine:
+        return BatchEngine(self.model, 1, 1)
 
     def height_at(self, xy: torch.Tensor, outside: float = 0.0) -> torch.Tensor:
         """Return the ground's height (...) at points (..., 2), m; points without ground get the value ``outside``."""
-        if self._engine is None:
-            self._engine = BatchEngine(self.model(), 1, 1)
         origins = torch.cat((xy, torch.full_like(xy[..., :1], _FAR)), dim=-1).reshape(1, -1, 3)
         down = torch.tensor([0.0, 0.0, -1.0], device=xy.device).expand_as(origins)
         distance = self._engine.ray(origins, down).reshape(xy.shape[:-1])
@@ -187,7 +186,7 @@ class TerrainBase(Stateful):
 
     def model_alone(self) -> mujoco.MjModel:
         """Return a model that contains only the ground."""
-        return self._probe.model()
+        return self._probe.model
 
     @property
     def has_formula(self) -> bool:
