@@ -1,7 +1,8 @@
 import pytest
 import torch
+from sim.small_envs import ACTUATORS
 
-from .worlds import drive, mounted, seen, term, watch
+from .worlds import mounted, seen, term, watch
 
 OWN, ARMATURE = 0.002, 0.003  # the wheel's moment of inertia and the armature, kg m^2
 INERTIA = OWN + ARMATURE
@@ -16,13 +17,14 @@ WHEEL = mounted("wheel", ROLLER)
 
 
 def _speeds(world, kind, dt, steps, decimation=1, **numbers):
-    limits = {"effort_limit": 100.0, "velocity_limit": 50.0, "damping": DAMPING, "armature": ARMATURE}
+    drive = {"_target_": ACTUATORS + kind, "joint_names_expr": ["axle"], "stiffness": 0.0, "damping": DAMPING}
+    drive |= {"effort_limit": 100.0, "velocity_limit": 50.0, "armature": ARMATURE, **numbers}
     env = world(
         WHEEL,
         dt,
         "fixed",
         decimation=decimation,
-        robot={"actuators": drive(kind, "axle", **limits | numbers)},
+        robot={"actuators": {"one": drive}},
         actions={"spin": term("actions", "JointVelocityAction", joint_names=["axle"], scale=WANTED / 2)},
         observations=seen("joint_vel"),
     )

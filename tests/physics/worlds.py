@@ -1,7 +1,7 @@
 from typing import Any
 
 import torch
-from sim.small_envs import ACTUATORS, env_config
+from sim.small_envs import env_config
 
 MDP = "wheelleg_exp.mdp."
 G = 9.81  # m/s^2
@@ -66,7 +66,3 @@ def watch(env: Any, steps: int, action: float = 0.0) -> dict[str, torch.Tensor]:
     actions = torch.full((env.num_envs, env.action_manager.total_action_dim), action)
     shown += [env.step(actions)[0]["seen"] for _ in range(steps)]
     return {name: torch.stack([values[name] for values in shown]).double() for name in shown[0]}
-
-
-def drive(kind: str, joint: str, **numbers: float) -> dict[str, Any]:
-    return {"one": {"_target_": ACTUATORS + kind, "joint_names_expr": [joint], "stiffness": 0.0, **numbers}}

@@ -224,24 +224,19 @@ def _look(spec: mujoco.MjSpec, size: float, width: int, height: int, samples: in
 
 
 def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, name: str) -> None:
-    if shape.kind == "mesh" and not _add_mesh(spec, shape, name):
-        return
+    if shape.kind == "mesh":
+        # Skip a mesh without area. Add other meshes as open shells, because a terrain has no volume.
+        if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
+            return
+        a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)
+        if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
+            return
+        vertices, faces = shape.vertices.ravel(), shape.faces.ravel()
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        mesh = spec.add_mesh(name=name, uservert=vertices, userface=faces, inertia=shell)
+        if shape.normals is not None:
+            mesh.usernormal = shape.normals.ravel()
     size = [*(max(float(part), 1e-6) for part in shape.size), 0.0, 0.0][:3]
     form: dict[str, object] = {"meshname": name} if shape.kind == "mesh" else {"size": size}
     place, style = {"pos": shape.pos, "quat": shape.quat}, {"rgba": shape.rgba, "contype": 0, "conaffinity": 0}
     body.add_geom(type=_KINDS[shape.kind], **form, **place, **style, mass=0.0)
-
-
-def _add_mesh(spec: mujoco.MjSpec, shape: Shape, name: str) -> bool:
-    """Add a mesh to a MuJoCo model as an open shell, because a terrain has no volume. Skip a mesh without area."""
-    if shape.vertices is None or shape.faces is None or len(shape.vertices) < 4:
-        return False
-    a, b, c = shape.vertices[shape.faces].transpose(1, 0, 2)
-    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
-        return False
-    vertices, faces = shape.vertices.ravel(), shape.faces.ravel()
-    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    mesh = spec.add_mesh(name=name, uservert=vertices, userface=faces, inertia=shell)
-    if shape.normals is not None:
-        mesh.usernormal = shape.normals.ravel()
-    return True

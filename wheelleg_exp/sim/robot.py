@@ -47,9 +47,9 @@ class Robot(Stateful):
     joint without an actuator.
 
     Attributes:
-        num_joints: number of joints, J.
-        num_bodies: number of bodies, B.
-        is_fixed_base: whether the base is fixed.
+        num_joints: Number of joints, J.
+        num_bodies: Number of bodies, B.
+        is_fixed_base: Whether the base is fixed.
     """
 
     def __init__(
@@ -486,20 +486,6 @@ class Robot(Stateful):
         """Set the bias of the joints' encoders, which is the reading minus the joint position, rad."""
         self._assign(self.data.encoder_bias, self._rows(env_ids), columns(joint_ids, self.device), bias)
         self._has_new_targets = True
-        self.data.invalidate()
-
-    def write_imu_errors(self, tilt: torch.Tensor, gyro_bias: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the errors of the root link's IMU: the bias of its gyroscope (n, 3), rad/s, and its orientation ``tilt``.
-
-        ``tilt`` (n, 3, 3) are rotation matrices from the axes of the IMU to those of the root link.
-        """
-        rows = self._rows(env_ids)
-        self.data.imu_tilt[rows], self.data.gyro_bias[rows] = tilt, gyro_bias
-        self.data.invalidate()
-
-    def write_gravity_direction(self, direction: torch.Tensor, env_ids: Ids = None) -> None:
-        """Set the direction of gravity that the IMU measures, a unit vector (n, 3) in world axes."""
-        self.data.gravity_dir_w[self._rows(env_ids)] = direction
         self.data.invalidate()
 
     def _write_gain(self, name: str, column: int, values: Values, joint_ids: Ids, env_ids: Ids) -> None:

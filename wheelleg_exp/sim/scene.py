@@ -37,6 +37,9 @@ class Scene(Stateful):
     Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
     is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` is a function that returns a
     random generator for a config key.
+
+    Attributes:
+        physics_dt: Length of a physics step in s.
     """
 
     def __init__(
@@ -82,7 +85,7 @@ class Scene(Stateful):
             require_base_called(sensor, "body_names", "add_to(spec, name, robot)")
         self.spec = spec
         self._sim_options = sim
-        self.physics_dt = sim.dt  # s
+        self.physics_dt = sim.dt
         self._stream = stream
 
     def play(self) -> None:
@@ -97,7 +100,7 @@ class Scene(Stateful):
             raise ConfigError(f"'{kind.__name__}' is not an Engine", key=key, expected="a _target_ of Engine")
         self.sim = kind.from_config(self.model, self.num_envs, options, self.robot.options, **arguments)
         self.child("sim", self.sim, saved=False)
-        self.sim.cast_alone(GROUND_GROUP, self.terrain.model_alone)
+        self.sim.cast_alone(GROUND_GROUP, lambda: self.terrain.probe.model)
         unstable = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
         self._unstable: torch.Tensor | None = self.buffer("_unstable", unstable, saved=False)
         self.robot.connect(self.sim, self._stream)

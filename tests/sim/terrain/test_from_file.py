@@ -34,7 +34,7 @@ def test_an_array_gives_heights_along_x_and_y(ground):
     points = torch.tensor([[-1.0, 0.0], [1.0, 0.0], [1.0, 2.0], [0.0, 0.0], [1.0, 1.0], [5.0, 0.0]])
     torch.testing.assert_close(made.height_at(points), torch.tensor([0.1, 0.3, 0.5, 0.2, 0.4, 0.0]))
     random = torch.rand(500, 2) * torch.tensor([2.0, 4.0]) - torch.tensor([1.0, 2.0])
-    torch.testing.assert_close(made.height_at(random), made._probe.height_at(random), atol=2e-6, rtol=0)
+    torch.testing.assert_close(made.height_at(random), made.probe.height_at(random), atol=2e-6, rtol=0)
 
 
 def test_a_picture_is_a_map(ground):

@@ -109,7 +109,7 @@ def test_steps_and_roughness_of_each_row_are_those_of_its_difficulty():
 def test_the_height_at_a_point_is_where_a_ray_meets_mujocos_ground():
     ground = placed(everything(), num_rows=3, num_cols=7)
     points = torch.rand(4000, 2, dtype=torch.float64) * torch.tensor([8.0, 9.0]) - torch.tensor([4.0, 4.5])
-    found, expected = ground.height_at(points), ground._probe.height_at(points)
+    found, expected = ground.height_at(points), ground.probe.height_at(points)
     torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
     assert found.std() > 0.02
     assert not ground.height_at(torch.tensor([[3.5, 0.0], [0.0, -4.4], [99.0, 99.0]])).any()
@@ -124,7 +124,7 @@ def test_stairs_consist_of_the_fewest_possible_boxes():
 
 def test_the_border_surrounds_the_tiles_at_height_zero():
     points = torch.tensor([[4.9, 2.4], [-4.9, 0.0], [0.0, -2.4], [4.5, 0.3], [5.1, 0.0], [0.0, 2.6]])
-    assert placed()._probe.height_at(points, outside=-1.0).tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
+    assert placed().probe.height_at(points, outside=-1.0).tolist() == pytest.approx([0.0] * 4 + [-1.0] * 2, abs=1e-6)
 
 
 def digest() -> str:

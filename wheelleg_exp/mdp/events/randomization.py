@@ -386,8 +386,9 @@ class randomize_imu_errors(TermBase):
         ids = all_ids(env, env_ids)
         angles = rotation.uniform(self._low, self._high, len(ids), self._generator)
         tilt = rotation.quat_to_matrix(rotation.quat_from_euler_xyz(*angles.unbind(dim=1)))
-        bias = draw(self._bias[0], self._bias[1], (len(ids), 3), "uniform", self._generator)
-        self._robot.write_imu_errors(tilt, bias, ids)
+        bias, data = draw(self._bias[0], self._bias[1], (len(ids), 3), "uniform", self._generator), self._robot.data
+        data.imu_tilt[ids], data.gyro_bias[ids] = tilt, bias
+        data.invalidate()
 
 
 @relation(ranges(effort_limit_distribution_params="above 0"))
@@ -431,7 +432,8 @@ class randomize_floor_slope(TermBase):
         turn = draw(-math.pi, math.pi, (len(ids),), "uniform", self._generator)
         down = torch.stack((slope.sin() * turn.cos(), slope.sin() * turn.sin(), -slope.cos()), dim=1)
         sim.expand("opt.gravity")[ids] = math.hypot(*env.scene.model.opt.gravity) * down.to(sim.dtype)
-        self._robot.write_gravity_direction(down, ids)
+        self._robot.data.gravity_dir_w[ids] = down
+        self._robot.data.invalidate()
 
 
 Vector = Annotated[Sequence[float], Length(3)]

@@ -99,14 +99,6 @@ class ContactSensorData(Stateful):
         self.forces[:] = forces  # Keep the list object ``forces``, because recorded CUDA graphs refer to this object.
         self._history = None
 
-    def take_forces(self, newest: torch.Tensor, due: torch.Tensor | None) -> None:
-        """Add forces (N, B, 3) to the force history in the environments of the mask ``due`` (N,)."""
-        kept = [newest, *self.forces[:-1]]
-        if due is not None:
-            rows = due.view(-1, 1, 1)
-            kept = [torch.where(rows, after, before) for after, before in zip(kept, self.forces, strict=True)]
-        self.set_forces(kept)
-
     current_air_time = _time("current_air_time", "Time since the body left the ground, s, 0 in contact, (N, B).")
     last_air_time = _time("last_air_time", "Duration of the last flight, s, (N, B).")
     current_contact_time = _time("current_contact_time", "Time since the body touched down, s, 0 in the air, (N, B).")
@@ -286,7 +278,11 @@ class ContactSensor(SensorBase):
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
         # Negate the sum, because contact forces push the sensed body, but contact normals point away from the body.
-        self.data.take_forces(summed(self._pressures, self._normals).neg_().float(), due)
+        past = self.data.forces
+        forces = [summed(self._pressures, self._normals).neg_().float(), *past[:-1]]
+        if due is not None:
+            forces = [torch.where(due.view(-1, 1, 1), now, before) for now, before in zip(forces, past, strict=True)]
+        self.data.set_forces(forces)
         torch.maximum(self._found, self._counts, out=self._found)
         self._largest_norm = None
         if self.filter_names:

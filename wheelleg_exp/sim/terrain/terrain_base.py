@@ -123,7 +123,7 @@ class TerrainBase(Stateful):
         ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` is a function that
         returns a random generator for the ground; call it only if the ground needs one.
         """
-        self._probe, self._stream = Probe(self.add_to), stream
+        self.probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
         self.terrain_types = torch.zeros(num_envs, dtype=torch.long, device=device)
         if self.terrain_origins is None:
@@ -182,11 +182,7 @@ class TerrainBase(Stateful):
         A subclass may override ``height_at`` with a formula. By default, ``height_at`` measures the ground's height by
         vertical rays from above.
         """
-        return self._probe.height_at(xy)
-
-    def model_alone(self) -> mujoco.MjModel:
-        """Return a model that contains only the ground."""
-        return self._probe.model
+        return self.probe.height_at(xy)
 
     @property
     def has_formula(self) -> bool:
