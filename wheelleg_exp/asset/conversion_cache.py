@@ -1,8 +1,4 @@
-"""Cache converted robots in a folder; a robot's key is a hash of the contents of its source files.
-
-Files that a config names in addition to the robot (actuator networks, the terrain file) are copied next to the cached
-MJCF.
-"""
+"""Cache converted robots, with the files that a config names in addition, by a hash of the robot's source files."""
 
 from __future__ import annotations
 
@@ -60,11 +56,7 @@ _ATTEMPTS = 3  # attempts per cache entry
 
 @dataclass(frozen=True)
 class CachedConversion:
-    """An MJCF in the cache.
-
-    ``sources`` maps each source file's path, relative to the robot file's folder, to the file's sha256. ``fresh`` is
-    false if the MJCF was already in the cache.
-    """
+    """An MJCF in the cache, and each source's sha256 by relative path; ``fresh`` is false if it was there before."""
 
     output: Path
     report: Report

@@ -1,9 +1,4 @@
-"""Limit the size of robot files, the number of their references, and the memory of their conversion.
-
-The converter refuses a robot file that is too large or refers to too many files.
-
-`bounded_memory` limits the memory of a whole conversion, because a damaged file can declare arrays of any size.
-"""
+"""Limit the size of robot files, the number of their references, and the memory of their conversion."""
 
 from __future__ import annotations
 

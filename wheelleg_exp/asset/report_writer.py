@@ -12,7 +12,7 @@ import numpy as np
 
 from wheelleg_exp.asset.conversion_report import DofOrder, Finding, Report
 from wheelleg_exp.asset.rigid_geometry import tensor_of
-from wheelleg_exp.asset.robot_description import Body, Dof, Geom, Mesh, RobotDescription
+from wheelleg_exp.asset.robot_description import Body, Dof, Geom, RobotDescription
 from wheelleg_exp.asset.usd.ledger import Ledger
 
 FALLS = "no shape of the robot collides: it falls through any ground"
@@ -41,10 +41,7 @@ def note_colliders(robot: RobotDescription, ledger: Ledger) -> None:
 
 
 def measure_sizes(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Finding]:
-    """Yield mass and size of each body tree with joints and colliders; a later step checks whether they are plausible.
-
-    A robot's size is the longest edge of the bounding box of its colliders and joints, along the root body's axes.
-    """
+    """Yield mass and size, the longest edge of the box around colliders and joints, of each body tree with both."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     infinite = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
@@ -121,7 +118,13 @@ def values_of(robot: RobotDescription) -> dict[str, object]:
         "joints": {dof.name: _joint(dof, body.name) for body in robot.bodies for dof in body.dofs},
         "colliders": {geom.name: _collider(geom, owner) for owner, geom in colliders},
         "static_colliders": {geom.name: _collider(geom, None) for geom in robot.static_geoms if geom.collides},
-        "meshes": {mesh.name: _mesh(mesh) for mesh in robot.meshes},
+        "meshes": {
+            mesh.name: {
+                **{"vertices": len(mesh.vertices), "faces": len(mesh.faces)},
+                **{"low": mesh.vertices.min(axis=0).tolist(), "high": mesh.vertices.max(axis=0).tolist()},
+            }
+            for mesh in robot.meshes
+        },
         "actuators": {
             item.name: {item.transmission: item.target, **{k: plain(v) for k, v in item.extra.items()}}
             for item in robot.actuators
@@ -162,15 +165,6 @@ def _collider(geom: Geom, owner: str | None) -> dict[str, object]:
         **{"path": geom.path, "body": owner, **_fields(geom, "kind size")},
         **_fields(geom.pose, "position rotation"),
         **_fields(geom, "mesh friction"),
-    }
-
-
-def _mesh(mesh: Mesh) -> dict[str, object]:
-    return {
-        "vertices": len(mesh.vertices),
-        "faces": len(mesh.faces),
-        "low": mesh.vertices.min(axis=0).tolist(),
-        "high": mesh.vertices.max(axis=0).tolist(),
     }
 
 

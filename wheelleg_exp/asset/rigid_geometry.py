@@ -20,11 +20,7 @@ Array = NDArray[np.float64]
 
 
 def single(value: float) -> float:
-    """Return the shortest decimal that is equal to ``value`` in single precision.
-
-    USD stores most physical quantities in single precision. ``single`` converts 0.04249999970197678, the
-    single-precision value of 0.0425, to 0.0425.
-    """
+    """Return the shortest decimal equal to ``value`` in single precision, as 0.0425 for 0.04249999970197678."""
     return float(str(np.float32(value))) if math.isfinite(value) and abs(value) < 3.4e38 else float(value)
 
 

@@ -142,11 +142,7 @@ class Dof:
 
 @dataclass(frozen=True)
 class Actuator:
-    """A MuJoCo actuator: its target, and the attributes of ``general``.
-
-    ``transmission`` is the attribute that names the target: a joint, a tendon, a site, a body, or the crank's site of
-    a slider-crank.
-    """
+    """A MuJoCo actuator: its target, the attribute ``transmission`` that names it, and attributes of ``general``."""
 
     name: str
     path: str
@@ -157,10 +153,7 @@ class Actuator:
 
 @dataclass(frozen=True)
 class TendonPoint:
-    """A point of a spatial tendon: a site, a geom to wrap around, or a pulley that divides the tendon's length.
-
-    ``name`` is the name of the site or geom; ``side`` is the MJCF attribute ``sidesite`` of a geom.
-    """
+    """A point of a spatial tendon: a site, a geom (``side`` is MJCF's ``sidesite``), or a pulley that divides it."""
 
     kind: Literal["site", "geom", "pulley"]
     name: str = ""
@@ -340,10 +333,7 @@ DEEPEST = 8  # parts of a path
 
 
 def unique_names(paths: Iterable[str], shown: dict[str, str] | None = None) -> dict[str, str]:
-    """Return a short name for each path: as few of its last parts, joined by ``_``, as make all names unique.
-
-    ``shown`` maps prim paths to display names, for prims whose name USD encodes (``tn__...``).
-    """
+    """Return short unique names by path: the fewest last parts, joined by ``_``; ``shown`` maps to display names."""
     shown = shown or {}
     parts = {path: path.strip("/").rsplit("/", DEEPEST)[-DEEPEST:] for path in paths}
     names = {path: shown.get(path, own[-1]) for path, own in parts.items()}

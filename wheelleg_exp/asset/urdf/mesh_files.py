@@ -253,10 +253,7 @@ class Files:
         self._note(self.document.source)
 
     def find(self, name: str, endings: tuple[str, ...] = tuple(READERS)) -> Path | None:
-        """Return the path of a mesh file that a URDF names; None if the file is missing or has a wrong suffix.
-
-        A file whose suffix is not in ``endings``, such as ``/etc/passwd``, is neither searched nor opened.
-        """
+        """Return the path of a mesh file, if it exists; a file with a suffix not in ``endings`` is never opened."""
         if not name.lower().endswith(endings):
             return None
         if name not in self._found:
@@ -297,10 +294,7 @@ class Files:
             yield from self._in_package(*name[scheme.end() :].partition("/")[::2])
 
     def _moved(self, name: str) -> Iterator[Path]:
-        """Yield possible local paths of a mesh file whose absolute path is from another machine.
-
-        For example, ``/opt/ros/share/pkg/a.stl`` is searched as ``pkg/a.stl`` in the folders that contain the URDF.
-        """
+        """Yield local paths of another machine's file: ``pkg/a.stl`` above the URDF for ``/opt/share/pkg/a.stl``."""
         parts = Path(name).parts if name.startswith("/") else ()
         around = {above.name for above in (self.folder, *self._above())}
         for index in range(1, len(parts) - 1):

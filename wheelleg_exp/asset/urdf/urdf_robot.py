@@ -1,11 +1,9 @@
-"""Read a URDF file into a robot description and a conversion report.
-
-The converter interprets joint limits and mimic joints as the URDF specification defines.
-"""
+"""Read a URDF file into a robot description and a conversion report."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from operator import attrgetter
 from pathlib import Path
 
@@ -142,27 +140,24 @@ def _velocity(document: Document, joint: Joint, element: Element) -> float | Non
     return limit
 
 
-def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> tuple[desc.Coupling, ...]:
-    """Return the couplings of ``<mimic>``, q = offset + multiplier · r; ``dofs`` are the joints with one axis."""
-    mimics = [(joint, mimic) for joint in tree.joints.values() if (mimic := joint.element.first("mimic"))]
-    return tuple(filter(None, (_coupling(document, joint, mimic, tree, dofs) for joint, mimic in mimics)))
-
-
-def _coupling(
-    document: Document, joint: Joint, element: Element, tree: Tree, dofs: dict[str, desc.Dof]
-) -> desc.Coupling | None:
-    leader = document.required(element, "joint", "equality joint")
-    multiplier = document.number(element, "multiplier", "equality joint polycoef")
-    offset = document.number(element, "offset", "equality joint polycoef")
-    if joint.name not in dofs or leader not in dofs or leader == joint.name:
-        reason = "only a hinge or slide can follow another one"
-        if leader not in tree.joints:
-            nearest = nearest_name(leader, tree.joints)
-            reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
-        document.ledger.leave_and_warn(element.path, "joint", reason, "the coupling", leader)
-        return None
-    numbers = (offset or 0.0, 1.0 if multiplier is None else multiplier, 0.0, 0.0, 0.0)
-    return desc.Coupling(f"{joint.name}_coupling", element.path, dofs[joint.name].name, dofs[leader].name, numbers)
+def couplings(document: Document, tree: Tree, dofs: dict[str, desc.Dof]) -> Iterator[desc.Coupling]:
+    """Yield the couplings of ``<mimic>``, q = offset + multiplier · r; ``dofs`` are the joints with one axis."""
+    for joint in tree.joints.values():
+        element = joint.element.first("mimic")
+        if element is None:
+            continue
+        leader = document.required(element, "joint", "equality joint")
+        multiplier = document.number(element, "multiplier", "equality joint polycoef")
+        offset = document.number(element, "offset", "equality joint polycoef")
+        if joint.name not in dofs or leader not in dofs or leader == joint.name:
+            reason = "only a hinge or slide can follow another one"
+            if leader not in tree.joints:
+                nearest = nearest_name(leader, tree.joints)
+                reason = f"there is no joint '{leader}'" + (f"; was '{nearest}' meant?" if nearest else "")
+            document.ledger.leave_and_warn(element.path, "joint", reason, "the coupling", leader)
+            continue
+        numbers = (offset or 0.0, 1.0 if multiplier is None else multiplier, 0.0, 0.0, 0.0)
+        yield desc.Coupling(f"{joint.name}_coupling", element.path, dofs[joint.name].name, dofs[leader].name, numbers)
 
 
 SUFFIXES = (".urdf",)
@@ -236,7 +231,7 @@ class _Builder:
             gravity=(0.0, 0.0, -EARTH),
             static_geoms=self.shapes.geoms[tree.world.name] if tree.world else (),
             exclusions=tuple((self.names[j.parent.name], self.names[j.child.name]) for j in joined),
-            couplings=couplings(document, tree, single),
+            couplings=tuple(couplings(document, tree, single)),
             materials=tuple(self.shapes.looks.used.values()),
             meshes=tuple(self.shapes.meshes.values()),
             breadth_first_dofs=tuple(dof.name for joint in joints for dof in self.dofs[joint.name]),

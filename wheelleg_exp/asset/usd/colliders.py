@@ -1,7 +1,4 @@
-"""Find colliders, visuals, and sites: gprims, and all gprims below a prim with CollisionAPI.
-
-Sites are named frames: USD types of Isaac Sim's sensors, and of the sites of MuJoCo's and Newton's schemas.
-"""
+"""Find colliders, visuals, and sites (sensors, named frames): gprims, and all gprims below a prim with CollisionAPI."""
 
 from __future__ import annotations
 
@@ -29,22 +26,13 @@ def is_site(prim: Usd.Prim) -> bool:
     return (kind.startswith("Isaac") and kind.endswith("Sensor")) or bool(SITE_SCHEMAS & set(schemas(prim)))
 
 
-def find_sites(stage: Stage, links: Links) -> dict[str, list[Site]]:
-    """Return the sites of each body, by the body's path.
-
-    Isaac Sim's sensors get the transform of their parent prim, because the USD library does not know their types.
-    """
-    found: dict[str, list[Site]] = {}
+def find_sites(stage: Stage, links: Links) -> dict[str | None, list[Site]]:
+    """Return the sites by body path (None: the world); Isaac Sim's sensors have the transform of their parent prim."""
+    found: dict[str | None, list[Site]] = {}
     for prim, name in named([prim for prim in stage.prims if is_site(prim)]):
-        if (link := links.owner(prim.GetPath())) is not None:
-            found.setdefault(link.path, []).append(_site(stage, prim, name, link))
+        link = links.owner(prim.GetPath())
+        found.setdefault(link.path if link else None, []).append(_site(stage, prim, name, link))
     return found
-
-
-def world_sites(stage: Stage, links: Links) -> list[Site]:
-    """Return the sites of the USD stage that belong to no body."""
-    sites = named([prim for prim in stage.prims if is_site(prim)])
-    return [_site(stage, prim, name, None) for prim, name in sites if links.owner(prim.GetPath()) is None]
 
 
 def _site(stage: Stage, prim: Usd.Prim, name: str, link: Link | None) -> Site:
@@ -73,10 +61,7 @@ SHAPED = {"Cube", "Sphere", "Capsule", "Capsule_1", "Cylinder", "Cylinder_1", "C
 
 @dataclass(eq=False)
 class Piece:
-    """A gprim of a body (None: the world).
-
-    ``carrier`` is the prim whose CollisionAPI makes the gprim a collider; None if the gprim is a visual.
-    """
+    """A gprim of a body (None: the world); the CollisionAPI of ``carrier`` makes it a collider (None: a visual)."""
 
     prim: Usd.Prim
     link: Link | None

@@ -90,10 +90,7 @@ def physics_material(stage: Stage, prim: Usd.Prim) -> Usd.Prim | None:
 
 
 def friction_of(stage: Stage, prim: Usd.Prim) -> float | None:
-    """Return the sliding friction of a collider: of its physics material, else of the scene's, else PhysX's default.
-
-    For a USD file with MuJoCo's own schemas, the friction is None, which means MuJoCo's default friction.
-    """
+    """Return a collider's friction: its material's, else the scene's, else PhysX's; None: MuJoCo's, for its schemas."""
     # As in PhysX, a shape without its own physics material uses the physics scene's default material.
     defaults = (physics_material(stage, scene) for scene in stage.physics_scenes)
     material = physics_material(stage, prim) or next(filter(None, defaults), None)

@@ -18,7 +18,6 @@ from pxr import Usd, UsdShade
 from wheelleg_exp.asset import robot_description as desc
 from wheelleg_exp.asset.usd import mjc_parts as mjc
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Links
-from wheelleg_exp.asset.usd.colliders import world_sites
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians, find_scene, schemas
 
 _OF_JOINTS = "springdamper margin solreflimit solimplimit solreffriction solimpfriction actuatorgravcomp group"
@@ -211,7 +210,6 @@ def with_compiled_masses(stage: Stage, scene: Usd.Prim, robot: desc.RobotDescrip
 
 def with_mujoco(stage: Stage, links: Links, robot: desc.RobotDescription) -> desc.RobotDescription:
     """Return the robot description completed with all data of MuJoCo's USD schemas."""
-    robot = replace(robot, static_sites=(*robot.static_sites, *distinct(robot.sites, world_sites(stage, links))))
     robot = mjc.with_wraps(stage, links, robot)
     hulls = dict[str, dict[str, int]]()
     for geom in robot.geoms:

@@ -78,11 +78,7 @@ def _plain(value: object) -> Attribute | None:
 
 
 def limits(stage: Stage, prim: Usd.Prim, stem: str, switch: str, became: str) -> dict[str, Attribute]:
-    """Return a USD range and its on/off flag as two MJCF attributes.
-
-    For example, ``mjc:ctrlRange:min``, ``mjc:ctrlRange:max``, and ``mjc:ctrlLimited`` become ``ctrlrange`` and
-    ``ctrllimited``.
-    """
+    """Return a range such as ``mjc:ctrlRange`` and its switch as MJCF attributes: ``ctrlrange`` and ``ctrllimited``."""
     switched = became.removesuffix("range") + "limited"
     ends = [stage.ledger.read(prim, f"{stem}:{end}", became) for end in ("min", "max")]
     token = stage.ledger.read(prim, switch, switched) or "auto"

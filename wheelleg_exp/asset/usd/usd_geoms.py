@@ -15,8 +15,8 @@ import numpy as np
 from pxr import Sdf, UsdGeom, UsdPhysics
 
 from wheelleg_exp.asset.robot_description import Extra, Geom, Mesh, Numbered, Rgba, unique_names
+from wheelleg_exp.asset.usd.bodies.body_tree import Graph
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import Link, Links, shown_names
-from wheelleg_exp.asset.usd.bodies.roots import Graph
 from wheelleg_exp.asset.usd.colliders import Piece
 from wheelleg_exp.asset.usd.gprims import Shape
 from wheelleg_exp.asset.usd.joints.usd_joints import Joint
@@ -105,10 +105,7 @@ def _faces(subset: UsdGeom.Subset) -> int:
 
 
 def _names(key: str | None, pieces: list[Piece]) -> dict[str, str]:
-    """Return the shapes' names within their body: the leaf, with parents if two leaves are equal.
-
-    The names of visuals get a suffix, so a visual and a collider never have equal names.
-    """
+    """Return the shapes' names in their body: the leaf, with parents if two colliders or two visuals have one leaf."""
     base = key or ""
     out = {}
     for collides in (True, False):

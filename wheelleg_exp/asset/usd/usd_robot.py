@@ -19,15 +19,14 @@ from wheelleg_exp.asset.conversion_report import Report
 from wheelleg_exp.asset.report_writer import report_of
 from wheelleg_exp.asset.rigid_geometry import single
 from wheelleg_exp.asset.usd.audit import audit
-from wheelleg_exp.asset.usd.bodies.body_tree import Node, build_tree, read_closures
+from wheelleg_exp.asset.usd.bodies.body_tree import Graph, build_tree, read_closures
 from wheelleg_exp.asset.usd.bodies.mass import inertial_of
 from wheelleg_exp.asset.usd.bodies.rigid_bodies import find_links, velocity_of
-from wheelleg_exp.asset.usd.bodies.roots import Graph
 from wheelleg_exp.asset.usd.colliders import find_pieces, find_sites
 from wheelleg_exp.asset.usd.joints.articulate import dofs_of
 from wheelleg_exp.asset.usd.joints.joint_couplings import read_mimics, read_ropes
 from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, read_joints
-from wheelleg_exp.asset.usd.mjc_overlay import with_mujoco
+from wheelleg_exp.asset.usd.mjc_overlay import distinct, with_mujoco
 from wheelleg_exp.asset.usd.usd_geoms import Geoms, quiet_parts, read_filters
 from wheelleg_exp.asset.usd.usd_stage import Stage, gravity, library, open_stage
 
@@ -148,9 +147,23 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     for node in desc.depth_first(
         tree.nodes, lambda node: node.link.path, lambda node: node.parent.path if node.parent else None
     ):
-        body = _body(stage, node, dofs[node.link.path], shapes)
-        own = (*sites.get(node.link.path, ()), *ropes.sites.get(node.link.name, ()))
-        bodies.append(replace(body, sites=own))
+        link, own = node.link, dofs[node.link.path]
+        pieces_of_body = shapes.pieces.get(link.path, [])
+        body = desc.Body(
+            name=link.name,
+            path=link.path,
+            parent=node.parent.name if node.parent else None,
+            pose=node.pose,
+            inertial=inertial_of(stage, link, pieces_of_body, welded=node.joint is not None and not own),
+            floating=node.floating,
+            velocity=velocity_of(stage, link) if node.floating else (0.0,) * 6,
+            mocap=link.kinematic and node.parent is None and not own,
+            weightless=link.weightless,
+            dofs=own,
+            geoms=shapes.of(link),
+            sites=(*sites.get(link.path, ()), *ropes.sites.get(link.name, ())),
+        )
+        bodies.append(body)
     levels = sorted(tree.nodes, key=lambda node: node.depth)
     robot = desc.RobotDescription(
         name=stage.source.stem if stage.root.IsPseudoRoot() else stage.root.GetName(),
@@ -169,6 +182,7 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
             dof.name for node in levels for dof in dofs[node.link.path][:: -1 if node.reversed else 1]
         ),
     )
+    robot = replace(robot, static_sites=(*robot.static_sites, *distinct(robot.sites, sites.get(None, ()))))
     robot = with_mujoco(stage, links, robot)
     if "integrator" not in robot.option and any(dof.drive and dof.drive.kind != "motor" for dof in robot.dofs):
         # MuJoCo's default integrator (Euler) is unstable with stiff drives.
@@ -177,20 +191,3 @@ def describe(stage: Stage, base: desc.BaseMode) -> desc.RobotDescription:
     robot = shortened(stage, robot)
     audit(stage)
     return robot
-
-
-def _body(stage: Stage, node: Node, dofs: tuple[desc.Dof, ...], shapes: Geoms) -> desc.Body:
-    link, pieces = node.link, shapes.pieces.get(node.link.path, [])
-    return desc.Body(
-        name=link.name,
-        path=link.path,
-        parent=node.parent.name if node.parent else None,
-        pose=node.pose,
-        inertial=inertial_of(stage, link, pieces, welded=node.joint is not None and not dofs),
-        floating=node.floating,
-        velocity=velocity_of(stage, link) if node.floating else (0.0,) * 6,
-        mocap=link.kinematic and node.parent is None and not dofs,
-        weightless=link.weightless,
-        dofs=dofs,
-        geoms=shapes.of(link),
-    )

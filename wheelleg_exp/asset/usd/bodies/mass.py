@@ -1,7 +1,4 @@
-"""Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh.
-
-A collider's mass is authored in the USD file, or is the collider's density times its volume.
-"""
+"""Mass properties of bodies by the rules of UsdPhysics and PhysX: authored values, else what the colliders weigh."""
 
 from __future__ import annotations
 

@@ -118,10 +118,7 @@ def named(prims: list[Usd.Prim]) -> list[tuple[Usd.Prim, str]]:
 
 
 def velocity_of(stage: Stage, link: Link) -> tuple[float, float, float, float, float, float]:
-    """Return a body's saved velocity: m/s in the world, then rad/s about the body's own axes.
-
-    USD stores a body's velocity in the coordinates of the prim's parent, in stage lengths and degrees.
-    """
+    """Return a body's saved velocity: m/s in the world, then rad/s in its own axes; USD has the parent prim's axes."""
     linear = stage.ledger.read(link.prim, "physics:velocity", "keyframe home, qvel")
     angular = stage.ledger.read(link.prim, "physics:angularVelocity", "keyframe home, qvel")
     space = rigid_part(stage.matrix(link.prim.GetParent())).rotation

@@ -11,9 +11,8 @@ from pxr import Usd
 from wheelleg_exp.asset.rigid_geometry import Frame, rounded, turned, vec3
 from wheelleg_exp.asset.robot_description import Dof, Vec3
 from wheelleg_exp.asset.usd.bodies.body_tree import Node
-from wheelleg_exp.asset.usd.joints.joint_axes import FreeAxis, read_range
 from wheelleg_exp.asset.usd.joints.joint_drives import clamped, force_range, read_drive, read_passive, velocity_limit
-from wheelleg_exp.asset.usd.joints.usd_joints import Joint
+from wheelleg_exp.asset.usd.joints.usd_joints import FreeAxis, Joint, read_range
 from wheelleg_exp.asset.usd.usd_stage import Stage, angle_in_radians
 
 CLOSE_M, CLOSE_RAD = 1e-5, 1e-4

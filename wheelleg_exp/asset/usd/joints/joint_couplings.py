@@ -1,7 +1,4 @@
-"""Read joints that become tendons or couplings: distance joints, and PhysX's mimic joints.
-
-A distance joint becomes a tendon between two points, with a range or with springs at the ends of a range.
-"""
+"""Read distance joints, which become tendons, and PhysX's mimic joints, which become couplings."""
 
 from __future__ import annotations
 
@@ -12,8 +9,7 @@ from dataclasses import dataclass, field
 from pxr import Usd
 
 from wheelleg_exp.asset.robot_description import Closure, Coupling, Dof, Extra, Site, Tendon, TendonPoint
-from wheelleg_exp.asset.usd.joints.joint_axes import FAR, Range
-from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, Joint
+from wheelleg_exp.asset.usd.joints.usd_joints import DISTANCE, FAR, Joint, Range
 from wheelleg_exp.asset.usd.usd_stage import Stage, schemas
 
 ROD = 1e-4

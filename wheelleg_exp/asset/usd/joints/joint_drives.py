@@ -1,7 +1,4 @@
-"""Read drives, passive forces, and the velocity and effort limits of joints.
-
-Drive gains per degree are converted to gains per rad, and drive targets are clamped to the joint's limits.
-"""
+"""Read drives (gains per rad, targets within the limits), passive forces, and velocity and effort limits of joints."""
 
 from __future__ import annotations
 
@@ -13,18 +10,14 @@ from pxr import Usd
 
 from wheelleg_exp.asset.conversion_report import is_placeholder
 from wheelleg_exp.asset.robot_description import Drive
-from wheelleg_exp.asset.usd.joints.joint_axes import TURNS, FreeAxis, Range
+from wheelleg_exp.asset.usd.joints.usd_joints import TURNS, FreeAxis, Range
 from wheelleg_exp.asset.usd.usd_stage import HUGE, Stage, effort_limit, schemas
 
 KEYS = ("stiffness", "damping", "targetPosition", "targetVelocity", "maxForce", "type")
 
 
 def read_drive(stage: Stage, prim: Usd.Prim, axis: FreeAxis, limits: Range | None, ref: float) -> Drive | None:
-    """Return the drive of one joint axis; None if the USD file defines no drive.
-
-    The drive's target is clamped to the joint's ``limits`` (rad or m). ``ref`` is the joint's position in MuJoCo at
-    USD's joint position 0.
-    """
+    """Return the drive of an axis, if any; its target is in ``limits``, and ``ref`` is MuJoCo's position at USD's 0."""
     values = [stage.ledger.read(prim, f"drive:{axis.token}:physics:{key}", "actuator") for key in KEYS]
     if f"PhysicsDriveAPI:{axis.token}" not in schemas(prim):
         if all(value is None for value in values):
