@@ -1,7 +1,4 @@
-"""The parts of a robot, such as wheels and legs, in SI units, and the body tree of the robot's compiled model.
-
-The vectors of robot parts are in the frame of the root body. The vectors of the class ``Tree`` are in the world frame.
-"""
+"""The parts of a robot, such as wheels and legs, in SI units and the root body's frame, and its tree in the world's."""
 
 from __future__ import annotations
 

@@ -34,10 +34,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, bodies: Sequence[in
 
 
 def reach(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], origin: Array, directions: Array) -> Array:
-    """Return how far the shapes ``geoms`` extend from ``origin`` along each direction, (n,) in m; -inf without geoms.
-
-    The point ``origin`` (3,) and the unit vectors ``directions`` (n, 3) are in world coordinates.
-    """
+    """Return how far ``geoms`` reach from ``origin`` along unit ``directions`` (n, 3), world, (n,) in m; -inf: none."""
     farthest = np.full(len(directions), -math.inf)
     for geom in geoms:
         local = directions @ data.geom_xmat[geom].reshape(3, 3)
@@ -67,11 +64,7 @@ _SHAPES: dict[int, Callable[[Array, Array], Array]] = {
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two bodies, the parent body first, whose colliders penetrate each other by ``depth`` (m).
-
-    The attribute ``neighbours`` of an overlap is true if a joint connects the overlapping bodies. The attribute
-    ``acts`` of an overlap is true if MuJoCo detects contacts between the overlapping bodies.
-    """
+    """Two bodies, parent first, whose colliders overlap by ``depth`` (m); ``neighbours``: joined; ``acts``: touch."""
 
     bodies: tuple[str, str]
     depth: float

@@ -20,10 +20,7 @@ _LIBRARIES = ("agent", "models", "trainer", "params", "seed")  # skrl, rl_games,
 def convert_agent(
     tree: Mapping[str, object] | None, groups: Sequence[str], weights: PolicyWeights | None, report: ImportReport
 ) -> Tree:
-    """Return the config section ``agent`` for a runner's settings, or for networks without settings.
-
-    ``groups`` are the observation groups of the environment. Where settings and ``weights`` differ, the weights win.
-    """
+    """Return the section ``agent`` for observation ``groups``; where settings and ``weights`` differ, weights win."""
     part = Section(tree or {}, "agent.yaml", report)
     # The networks observe the groups of the runner if the environment has them.
     given, top = part.take("obs_groups", {}), "policy" if "policy" in groups else groups[0]

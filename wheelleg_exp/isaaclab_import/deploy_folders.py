@@ -1,8 +1,4 @@
-"""Convert folders for deployment (unitree_rl_lab, rl_sar) to the structure of Isaac Lab's ``env.yaml``.
-
-Such a folder describes the policy's observations and actions, but not the training: rewards, events, and terrain are
-unknown, and the report says so.
-"""
+"""Convert folders for deployment (unitree_rl_lab, rl_sar), which lack the training, to the form of ``env.yaml``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Convert Isaac Lab's ``env.yaml`` to the config section ``env`` of this project.
-
-Terms have Isaac Lab's names here, so most nodes only change their form. The report has a row for each node, and a row
-for each setting that was changed, assumed, or dropped.
-"""
+"""Convert Isaac Lab's ``env.yaml`` to the config section ``env``; the report has a row for each node and change."""
 
 from __future__ import annotations
 

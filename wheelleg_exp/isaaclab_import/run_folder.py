@@ -23,10 +23,7 @@ _EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The files of an imported folder: kind of the config, its content, the agent's settings, and the policy.
-
-    ``joint_order`` is the order of the joints in Isaac Lab, if the run has exported it.
-    """
+    """The files of an imported folder, and the order of the joints in Isaac Lab, if the run has exported it."""
 
     path: Path
     kind: str

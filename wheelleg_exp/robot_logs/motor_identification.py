@@ -342,10 +342,7 @@ def _noise(logged: Numbers) -> Numbers:
 
 
 def _errors(simulation: ChirpSimulation, values: Numbers, pieces: _Pieces, shifts: Numbers | None = None) -> Numbers:
-    """Return logged minus simulated readings with M sets of parameters, (M, T, S, 3, J); NaN without a reading.
-
-    ``shifts`` (M, 2, J) is added to the start positions and speeds.
-    """
+    """Return logged minus simulated readings, (M, T, S, 3, J); ``shifts`` (M, 2, J) are added to the start states."""
     count, width, size = len(values), len(pieces.start), simulation.scene.num_envs
     if count * width > size:
         shifts = np.zeros((count, 2, len(simulation.names))) if shifts is None else shifts
@@ -466,10 +463,7 @@ class _Fit:
         return self.known[1:]
 
     def refined(self, solution: optimize.OptimizeResult, faster: ChirpSimulation) -> tuple[Numbers, Numbers]:
-        """Return all parameters (driven joints, 7) after a last step, and half the widths of their 95 % intervals.
-
-        ``faster`` simulates drives of a higher rate.
-        """
+        """Return all parameters (driven joints, 7) after a last step, and half the widths of their 95 % intervals."""
         inside, width = np.isfinite(self.pieces.logged), 2 * len(self.simulation.names)
         shifts = 1e-3 * np.eye(width).reshape(width, 2, -1)
         values = np.repeat(self.values(solution.x)[None], width, axis=0)

@@ -38,10 +38,7 @@ class LogError(WheellegError):
 
 @dataclass(frozen=True)
 class RobotLog:
-    """The numbers of a robot's log, each (T,) float64, by column name; missing cells are NaN.
-
-    ``is_checked`` is true if the file contains checksums, and its numbers fit them.
-    """
+    """A robot's log, each column (T,) float64 by name, with NaN for missing cells; ``is_checked``: checksums fit."""
 
     path: Path
     columns: Mapping[str, Numbers]
