@@ -40,9 +40,12 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
         display.checked()
 
+        from omegaconf import OmegaConf
+
         from wheelleg_exp.jobs.run_sweep import SweepRunner
         from wheelleg_exp.jobs.sweep_queue import make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
+        from wheelleg_exp.run.run_index import SweepIndex
 
         # Omit the current project's config folder from ``--config-dir``, because commands always search this folder.
         own: list[Path] = []
@@ -50,7 +53,11 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
             own = with_current([])
         at_once, named = _at_once(sweep), [folder for folder in args.config_dirs if folder not in own]
         folders = [str(folder) for folder in args.config_dirs]
-        index = _make_index(sweep, at_once, args.command)
+        root, facts = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
+        entries = [(job.overrides, job.swept) for job in sweep.jobs]
+        index = SweepIndex.create(root, command=args.command, launcher=facts, jobs=entries)
+        sweep.multirun.hydra.sweep.dir = str(index.folder)
+        index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
         crowded = _crowded(sweep, at_once)
         if crowded:
@@ -88,19 +95,6 @@ def _joblib() -> ModuleType:
     for name in set(os.environ) - before:
         del os.environ[name]
     return joblib
-
-
-def _make_index(sweep: Sweep, at_once: int, command: Sequence[str]) -> SweepIndex:
-    from omegaconf import OmegaConf
-
-    from wheelleg_exp.run.run_index import SweepIndex
-
-    root, launcher = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
-    jobs = [(job.overrides, job.swept) for job in sweep.jobs]
-    index = SweepIndex.create(root, command=command, launcher=launcher, jobs=jobs)
-    sweep.multirun.hydra.sweep.dir = str(index.folder)
-    index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
-    return index
 
 
 def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:

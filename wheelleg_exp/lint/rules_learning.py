@@ -110,7 +110,13 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
         cost = abs(item.weight) * item.cost
         if item.once or item.value is None or cost == 0.0 or best <= 0.0 or cost >= _AUDIBLE * best:
             continue
-        key, weight = f"{item.term.path}.weight", _audible_weight(item, best)
+        # The smallest weight at which the error costs 1 % of a perfect robot's reward.
+        others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
+        weight = at_least(_AUDIBLE * others / gain) if gain > 0.0 and others > 0.0 else None
+        key, weight = (
+            f"{item.term.path}.weight",
+            -at_least(_AUDIBLE * best / item.cost) if item.weight < 0.0 else weight,
+        )
         yield Finding(
             key,
             f"being off by {item.tolerance} costs {cost * case.episode_s:.2g} of {best * case.episode_s:.3g} in an "
@@ -119,14 +125,6 @@ def reward_too_small(case: Case) -> Iterator[Finding]:
             {"cost_per_s": cost, "best_per_s": best, "share": cost / best},
             () if weight is None else ({key: weight},),
         )
-
-
-def _audible_weight(item: tolerances.Contribution, best: float) -> float | None:
-    """Return the smallest reward weight at which an acceptable error costs 1 % of a perfect robot's reward, or None."""
-    if item.weight < 0.0:
-        return -at_least(_AUDIBLE * best / item.cost)
-    others, gain = best - item.weight * item.best, item.cost - _AUDIBLE * item.best
-    return at_least(_AUDIBLE * others / gain) if gain > 0.0 and others > 0.0 else None
 
 
 @rule

@@ -226,7 +226,10 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     for pair in anatomy.mirrored:
         if pair.left == pair.right or signs.get(pair.left, 0) * signs.get(pair.right, 0) >= 0:
             continue
-        if _legs_turn_alike(robot, pair) and not _compensated(case, pair):
+        scales = [scale for term in case.terms("actions") if isinstance(scale := term.node.get("scale"), Mapping)]
+        factors = [by_joint(scale, (pair.left, pair.right), 1.0) for scale in scales]
+        compensated = any(factor[pair.left] * factor[pair.right] < 0 for factor in factors)
+        if _legs_turn_alike(robot, pair) and not compensated:
             scale = f"{{{pair.left}: {signs[pair.left]:g}, {pair.right}: {signs[pair.right]:g}}}"
             message = f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "
             message += f"{_way(signs[pair.right])}, though the legs above them have equal signs"
@@ -244,12 +247,6 @@ def _legs_turn_alike(robot: CompiledRobot, wheels: MirroredPair) -> bool:
     pitched = [n for n in chain if n in signs and abs(float(robot.data.xaxis[model.joint(n).id] @ left)) > _ALONG]
     alike = [signs[name] > 0 for name in pitched]
     return not alike or alike[-1]
-
-
-def _compensated(case: Case, pair: MirroredPair) -> bool:
-    scales = [scale for term in case.terms("actions") if isinstance(scale := term.node.get("scale"), Mapping)]
-    found = [by_joint(scale, (pair.left, pair.right), 1.0) for scale in scales]
-    return any(signs[pair.left] * signs[pair.right] < 0 for signs in found)
 
 
 def _way(sign: int) -> str:

@@ -75,8 +75,12 @@ def _chosen(source: Path) -> Callable[[Sdf.Layer, UsdUtils.DependencyInfo], UsdU
     layers = {layer.realPath for layer in list(found.values())}
 
     def choose(layer: Sdf.Layer, named: UsdUtils.DependencyInfo) -> UsdUtils.DependencyInfo:
-        files = [layer.ComputeAbsolutePath(name) for name in (named.assetPath, *named.dependencies)]
-        return named if all(file in layers or _is_look(Path(file)) for file in files) else UsdUtils.DependencyInfo()
+        names = [layer.ComputeAbsolutePath(name) for name in (named.assetPath, *named.dependencies)]
+        files = [Path(name) for name in names if name not in layers]
+        # A name can be a pattern that matches several textures or materials.
+        small = [not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE) for file in files]
+        looks = all(file.suffix.lower() in LOOKS for file in files)
+        return named if looks and all(small) else UsdUtils.DependencyInfo()
 
     return choose
 
@@ -94,13 +98,6 @@ def _asset_paths(layer: Sdf.Layer) -> set[str]:
     copy.TransferContent(layer)
     UsdUtils.ModifyAssetPaths(copy, note)
     return found
-
-
-def _is_look(file: Path) -> bool:
-    """Return whether a path is a texture or a material, or a pattern that matches several textures or materials."""
-    if file.suffix.lower() not in LOOKS:
-        return False
-    return not file.exists() or (file.is_file() and file.stat().st_size <= LARGEST_FILE)
 
 
 def _copy(file: Path, to: Path) -> None:

@@ -120,7 +120,7 @@ class Manifest:
         path = directory / MANIFEST_NAME
         if path.exists():
             raise RunDirectoryError(f"the folder '{directory}' already contains a run", expected="a new run directory")
-        data: dict[str, Any] = {
+        data = {
             "format": FORMAT,
             "id": directory.name,
             "task": task,

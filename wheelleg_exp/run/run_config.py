@@ -92,7 +92,7 @@ def load_config(directory: os.PathLike[str]) -> dict[str, object]:
     return _load_mapping(Path(directory) / ".hydra" / "config.yaml")
 
 
-def _load_mapping(path: Path) -> dict[str, Any]:
+def _load_mapping(path: Path) -> dict[str, object]:
     if not path.is_file():
         raise RunDirectoryError(f"'{path}' is missing", expected="the parameters of the run")
     return require_mapping(read_yaml(path), path)

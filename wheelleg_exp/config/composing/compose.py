@@ -319,16 +319,10 @@ def placing(overrides: Sequence[str]) -> Iterator[None]:
         yield
     except ConfigError as error:
         for part in parts(error):
-            part.where = part.where or _setter(str(part.key), overrides)
+            key, names = f"{part.key}.", ((text, f"{_parse(text).key_or_group}.") for text in reversed(overrides))
+            setters = (f"override {text}" for text, own in names if key.startswith(own) or own.startswith(key))
+            part.where = part.where or next(setters, None)
         raise join(parts(error)) from error
-
-
-def _setter(key: str, overrides: Sequence[str]) -> str | None:
-    for text in reversed(overrides):
-        own = _parse(text).key_or_group
-        if f"{key}.".startswith(f"{own}.") or f"{own}.".startswith(f"{key}."):
-            return f"override {text}"
-    return None
 
 
 def _parse(text: str) -> Override:

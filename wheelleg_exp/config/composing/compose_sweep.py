@@ -10,6 +10,7 @@ import hashlib
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from itertools import islice
@@ -135,14 +136,23 @@ def compose_sweep(
         refused |= _refuse_repeated(parsed, loader.groups())
         mistakes += refused.values()
         accepted = [override for override in parsed if str(override.input_line) not in refused]
-        multirun = _compose_multirun(loader, accepted)
+        multirun: DictConfig | None = None
+        # The check of each job reports why Hydra could not compose the settings of the sweep.
+        with suppress(ConfigError):
+            words = [*(str(override.input_line) for override in accepted), _MULTIRUN]
+            multirun = loader.load_configuration(PRIMARY, words, RunMode.MULTIRUN, from_shell=False)
+            multirun.hydra.overrides.task = [str(o.input_line) for o in accepted if not o.is_hydra_override()]
         mistakes += _mistakes_of(own, loader.problems)
         params = (multirun.hydra.sweeper.get("params") or {}) if multirun is not None else {}
         texts = [f"{key}={value}" for key, value in params.items()]
         of_files = OverridesParser.create(config_loader=loader).parse_overrides(texts)
         swept = of_files + [o for o in accepted if o not in own]
         _require_few(swept)
-        jobs = _expand(swept)
+        # Each job has a list of overrides, such as ``seed=1`` and ``seed=2`` for ``seed=1,2``.
+        fixed = [override for override in swept if not override.is_sweep_override()]
+        typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
+        (split,) = BasicSweeper.split_arguments(swept, None)
+        jobs = [[typed.get(text, text) for text in job] for job in split]
         if multirun is not None:
             mistakes += _refuse_chosen(multirun)
     checked = _check(jobs, folders, progress, mistakes)
@@ -210,17 +220,6 @@ def _replaces(override: Override, groups: Collection[str]) -> bool:
     return plain and not isinstance(override.value(), dict) and override.key_or_group not in groups
 
 
-def _compose_multirun(loader: Loader, parsed: Sequence[Override]) -> DictConfig | None:
-    """Compose the settings of a sweep, without overrides whose keys exist only in some jobs; None if this fails."""
-    texts = [str(override.input_line) for override in parsed]
-    try:
-        multirun = loader.load_configuration(PRIMARY, [*texts, _MULTIRUN], RunMode.MULTIRUN, from_shell=False)
-    except ConfigError:
-        return None  # The later check of each job reports why Hydra could not compose the config.
-    multirun.hydra.overrides.task = [str(o.input_line) for o in parsed if not o.is_hydra_override()]
-    return multirun
-
-
 def _mistakes_of(own: Sequence[Override], problems: Sequence[ConfigError]) -> Iterator[ConfigError]:
     """Yield the mistakes in overrides of Hydra's settings; the check of each job reports the other mistakes."""
     message = "the basic launcher has no settings: it runs one job after the other"
@@ -256,14 +255,6 @@ def _require_few(parsed: Sequence[Override]) -> None:
         longest = several[counts.index(max(counts))]
         message, expected = f"the sweep has more than {_MOST_JOBS:,} jobs", "fewer values, or several sweeps"
         raise ConfigError(message, key=longest.key_or_group, where=where_of(longest), expected=expected)
-
-
-def _expand(parsed: Sequence[Override]) -> list[list[str]]:
-    """Return a list of overrides for each job of a sweep, such as ``seed=1`` and ``seed=2`` for ``seed=1,2``."""
-    fixed = [override for override in parsed if not override.is_sweep_override()]
-    typed = {f"{o.get_key_element()}={o.get_value_element_as_str()}": str(o.input_line) for o in fixed}
-    (jobs,) = BasicSweeper.split_arguments(list(parsed), None)
-    return [[typed.get(text, text) for text in job] for job in jobs]
 
 
 def _check(
