@@ -67,7 +67,7 @@ def export(
         if not len(table) and not chosen.is_all:
             raise nothing_chosen(recording)
         write_new(output, encoded(table, kind))
-        return [_exported(output, "terms", table)]
+        return [Exported(output, "terms", *table.shape)]
     groups = {name.split(".")[0]: None for env_id in recording.env_ids for name in recording.all_numbers(env_id)}
     of_groups = {group: table for group in groups if (table := _of_group(recording, group, chosen)).num_rows}
     if not of_groups:
@@ -81,7 +81,7 @@ def export(
             (aside / UNITS_NAME).write_text(json.dumps(by_group, indent=2, ensure_ascii=False) + "\n", "utf-8")
         require_new(output)
         aside.rename(output)
-    return [_exported(output / f"{_file_name(group)}.{kind}", group, table) for group, table in of_groups.items()]
+    return [Exported(output / f"{_file_name(name)}.{kind}", name, *table.shape) for name, table in of_groups.items()]
 
 
 def encoded(table: pa.Table, kind: str) -> bytes:
@@ -138,7 +138,3 @@ def _described(table: pa.Table, entities: Mapping[str, str], recording: Recordin
     about = {key: own[key] for key in ("run_id", "task", "seed", "step_dt") if key in own}
     about = {"recording_id": recording.recording_id, "purpose": recording.purpose, **about}
     return pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata={"wheelleg": json.dumps(about)}))
-
-
-def _exported(path: Path, group: str, table: pa.Table) -> Exported:
-    return Exported(path, group, table.num_rows, table.num_columns)

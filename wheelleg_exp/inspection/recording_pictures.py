@@ -70,14 +70,10 @@ def screenshot(
 ) -> float:
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    ``time_s`` is the picture's simulated time, s, counted from the start of the training iteration ``iteration``, if
-    given. ``at`` is a time as text, such as ``1.5s``, ``400ms``, or ``90steps``. If ``at`` is the name of a recorded
-    number, such as ``terminations.base_contact``, the picture shows the first time at which this number is nonzero. If
-    ``time_s`` and ``at`` are None, the picture shows the middle of the training iteration ``iteration``. If ``time_s``,
-    ``at``, and ``iteration`` are None, the picture shows the middle of the last recorded sequence of control steps.
-    Without ``env``, the picture shows the environment in which the recorded number ``at`` is nonzero first. Without
-    ``env`` and ``at``, the picture shows the first environment. ``screenshot`` raises WheellegError for an invalid
-    time, picture size, or path.
+    ``time_s`` counts from the start of the training iteration ``iteration``, if given. ``at`` is a time such as
+    ``1.5s`` or ``90steps``, or a recorded number, such as ``terminations.base_contact``, that is nonzero at that time
+    first. Without a time, the picture shows the middle of ``iteration``, or of the last recorded interval. An invalid
+    time, picture size, or path raises WheellegError.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)

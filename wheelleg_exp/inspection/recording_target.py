@@ -55,7 +55,18 @@ def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     if path.exists() and not names_a_run(word):
         if play:
             raise WheellegError(f"'{path}' is not a run directory", key="--play", expected="a run with a recorded play")
-        return Target(_in_folder(path) if path.is_dir() else path, _run_around(path))
+        run = _run_around(path)
+        if path.is_dir():
+            found = [name for name in (RECORDING,) if (path / name).is_file()]
+            found = found or sorted(file.name for file in path.glob(f"*{_SUFFIX}"))
+            if len(found) != 1:
+                expected = (
+                    "one of " + ", ".join(found) if found else f"a run, a recording, or a folder with {RECORDING}"
+                )
+                message = f"'{path}' is not a run, and contains {len(found) or 'no'} recordings"
+                raise RunDirectoryError(message, expected=expected)
+            path = path / found[0]
+        return Target(path, run)
     if path.suffix == _SUFFIX and path.is_symlink() and not path.exists():
         raise RunDirectoryError(f"'{path}' is a broken symbolic link", expected="a recording")
     if path.suffix == _SUFFIX and not path.exists():
@@ -94,17 +105,6 @@ def _training(run: RunDirectory) -> Path:
     hint = f"; its plays were recorded: {', '.join(map(str, others))}" if others else ""
     message = f"run '{run.id}' has no recording of its training: {reason}{hint}"
     raise RunDirectoryError(message, expected="a recorded run, or --play")
-
-
-def _in_folder(folder: Path) -> Path:
-    if (folder / RECORDING).is_file():
-        return folder / RECORDING
-    found = sorted(path.name for path in folder.glob(f"*{_SUFFIX}"))
-    if len(found) == 1:
-        return folder / found[0]
-    expected = "one of " + ", ".join(found) if found else f"a run, a recording, or a folder with {RECORDING}"
-    message = f"'{folder}' is not a run, and contains {len(found) or 'no'} recordings"
-    raise RunDirectoryError(message, expected=expected)
 
 
 def _run_around(path: Path) -> RunDirectory | None:

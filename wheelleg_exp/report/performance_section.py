@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
-from pathlib import Path
 
 from wheelleg_exp.definitions import MOTION, recorded_headings, rollout_label, settled_window
 from wheelleg_exp.errors import RunDirectoryError
@@ -132,16 +131,6 @@ def performance_blocks(subject: Subject) -> list[Block]:
         columns = ("When", "Checkpoint", "Changed", "Episodes", "Survival", "Height RMSE", "Pitch RMS")
         found.append(Table("All plays", (*columns, "Of", "Return, mean"), rows))
     return found
-
-
-def recording_of_play(subject: Subject) -> Path | None:
-    """Return the path of the last recording by ``wheelleg play``, or by a zero or random agent; None without a file."""
-    if subject.status == AGENT:
-        return subject.file("recording.rrd")
-    for entry in reversed(subject.additions("play")):
-        names = [name for name in entry.files if name.endswith(".rrd")]
-        return subject.file(names[0]) if names else None
-    return None
 
 
 def motion(recording: Recording) -> list[Block]:

@@ -59,7 +59,11 @@ class Look:
     @cached_property
     def play(self) -> Recording | WheellegError | None:
         """The last rollout's recording; an error if the recording cannot be opened; None if there is no recording."""
-        return _opened(standing.recording_of_play(self.subject))
+        if self.subject.status == AGENT:
+            return _opened(self.subject.file("recording.rrd"))
+        plays = self.subject.additions("play")
+        names = [name for name in plays[-1].files if name.endswith(".rrd")] if plays else []
+        return _opened(self.subject.file(names[0])) if names else None
 
     def hero(self) -> Picture | None:
         """Return the picture at the top of the page: the robot in its last episode."""

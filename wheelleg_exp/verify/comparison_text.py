@@ -76,7 +76,8 @@ def _first_of_numbers(
 def _of_log(parted: Parting, pair: Pair | None, sides: Sides) -> Divergence:
     one, other = (side.log.lines[parted.iteration] for side in sides)
     scalars = {name: [one.scalars.get(name), other.scalars.get(name)] for name in parted.scalars}
-    details = {"digests": parted.digests, "equal_digests": parted.equal_digests, "scalars": scalars}
+    equal = [name for name in parted.names if name not in parted.digests]
+    details = {"digests": parted.digests, "equal_digests": equal, "scalars": scalars}
     more = [f"  {name}: {brief(a)} in A, {brief(b)} in B" for name, (a, b) in list(scalars.items())[:3]]
     more += [f"  and {len(scalars) - 3} more scalars"] if len(scalars) > 3 else []
     if pair is not None:
@@ -84,12 +85,12 @@ def _of_log(parted: Parting, pair: Pair | None, sides: Sides) -> Divergence:
         details = {**details, "checkpoint": checkpoint.as_dict()}
         more.append(f"  first differing checkpoint: {checkpoint.text}")
     if parted.digests:
-        still = f" ({', '.join(parted.equal_digests)} still equal)" if parted.equal_digests else ""
+        still = f" ({', '.join(equal)} still equal)" if equal else ""
         text, name = f"digests of {', '.join(parted.digests)}{still}", parted.digests[0]
         return Divergence(
             parted.iteration, "digests", name, one.digests[name], other.digests[name], details, text, more
         )
-    text = f"scalars, while the digests {'are equal' if parted.equal_digests else 'cannot be compared'}"
+    text = f"scalars, while the digests {'are equal' if equal else 'cannot be compared'}"
     name, (a, b) = next(iter(scalars.items()))
     return Divergence(parted.iteration, "scalars", name, a, b, details, text, more)
 

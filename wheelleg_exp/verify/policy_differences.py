@@ -7,7 +7,6 @@ Exported policies are compared without running them.
 from __future__ import annotations
 
 import filecmp
-import hashlib
 import math
 import pickletools
 import re
@@ -140,31 +139,27 @@ def _compare(a: Path | None, b: Path | None) -> str:
         if a.suffix == ".json":
             changes = plain_changes(read_json(a), read_json(b))
             return f"differs in {first_few([change.key for change in changes])}" if changes else _EQUAL_CONTENT
-        is_onnx = a.suffix == ".onnx"
-        weights, code = (_onnx_weights, _onnx_graph) if is_onnx else (_archived_weights, _archived_code)
-        differing = ["weights differ"] if weights(a) != weights(b) else []
-        differing += ["code differs"] if code(a) != code(b) else []
+        read = _of_onnx if a.suffix == ".onnx" else _of_archive
+        (weights, code), (other_weights, other_code) = read(a), read(b)
+        differing = ["weights differ"] if weights != other_weights else []
+        differing += ["code differs"] if code != other_code else []
         return " and ".join(differing) or _EQUAL_CONTENT
     except Exception as error:  # Reading a damaged file can raise any exception.
         return f"cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
 
 
-# Do not load TorchScript archives, because loading an archive runs the archive's code.
-def _archived_weights(path: Path) -> dict[str, bytes]:
-    with zipfile.ZipFile(path) as archive:
-        require_bounded(archive)
-        names = [name for name in archive.namelist() if "/data/" in name or "/constants/" in name]
-        return {name.split("/", 1)[1]: archive.read(name) for name in names}
-
-
-def _archived_code(path: Path) -> dict[str, list[str]]:
-    """Return the code of an archive, and the operations of its pickles: attributes and the order of tensors."""
+def _of_archive(path: Path) -> tuple[object, object]:
+    """Return the weights of a TorchScript archive, and its code with the operations of its pickles."""
+    # Do not load the archive, because loading an archive runs the archive's code.
     # TorchScript numbers its classes and orders its constants differently in each process, so ignore numbers and order.
+    weights: dict[str, bytes] = {}
     found: dict[str, list[str]] = {}
     with zipfile.ZipFile(path) as archive:
         require_bounded(archive)
         for name in archive.namelist():
             inner = name.split("/", 1)[-1]
+            if "/data/" in name or "/constants/" in name:
+                weights[inner] = archive.read(name)
             if inner.endswith(".pkl"):
                 # List the operations of a pickle file without running them.
                 used = (x for x in pickletools.genops(archive.read(name)) if x[0].name not in _BOOKKEEPING)
@@ -175,28 +170,22 @@ def _archived_code(path: Path) -> dict[str, list[str]]:
                 code = _CONSTANTS.sub(lambda found: "".join(sorted(found[0].splitlines(keepends=True))), code)
                 plain, parts = _NUMBER_IN_PATH.sub("", inner), re.split(r"^(?=class |def )", code, flags=re.MULTILINE)
                 found[plain] = sorted([*found.get(plain, []), *parts])
-    return found
+    return weights, found
 
 
-def _onnx_weights(path: Path) -> dict[str, tuple[object, ...]]:
+def _of_onnx(path: Path) -> tuple[object, object]:
+    """Return the weights of an ONNX file, and its graph as bytes without weights and without its producer."""
     import onnx
     from onnx import numpy_helper
 
-    graph = onnx.load(path, load_external_data=False).graph
-    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    return {name: (x.shape, str(x.dtype), hashlib.sha256(x.tobytes()).hexdigest()) for name, x in arrays.items()}
-
-
-def _onnx_graph(path: Path) -> bytes:
-    """Return the graph of an ONNX file as bytes, without weights and without the producer's name and version."""
-    import onnx
-
     model = onnx.load(path, load_external_data=False)
+    arrays = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
+    weights = {name: (x.shape, str(x.dtype), x.tobytes()) for name, x in arrays.items()}
     for name in ("ir_version", "producer_name", "producer_version", "domain", "model_version"):
         model.ClearField(name)
     model.graph.ClearField("initializer")
     _clear_texts(model)
-    return bytes(model.SerializeToString(deterministic=True))
+    return weights, model.SerializeToString(deterministic=True)
 
 
 def _clear_texts(message: Any) -> None:

@@ -104,7 +104,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
     # Two versions of MuJoCo write different bytes for the same compiled model.
     another = any(d.section == "versions" and d.name in differences.MUJOCO for d in environment)
     other_robot = [change for change in robot if not (another and change.key == "compiled model")]
-    checkpoints = compare_checkpoints(a.run, b.run, span.until)
+    checkpoints, logs = compare_checkpoints(a.run, b.run, span.until), part.compare_logs(ones, others)
     damage = {
         side: [f"{name} {what}" for name, what in run.damage.items() if span.covers(name)]
         for side, run in (("A", a), ("B", b))
@@ -113,12 +113,12 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
         "files": _damage_part(damage),
         "settings": asked,
         "robot": _changes_part(other_robot, "sources, MJCF and compiled model"),
-        "scalars": part.scalars_part(ones, others),
-        "digests": part.digests_part(ones, others),
+        "scalars": part.scalars_part(logs, max((len(line.scalars) for line in ones), default=0)),
+        "digests": part.digests_part(logs),
         "checkpoints": _checkpoints_part(checkpoints),
         **_whole_parts(a, b, span, settings),
     }
-    parted = part.parting(ones, others)
+    parted = next((parting for parting in logs if parting.digests or parting.scalars), None)
     allowed = differences.allowing(environment) and not differences.forbidding(environment)
     tolerance = None
     if allowed and parted is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -98,59 +99,45 @@ class Part:
 
 @dataclass(frozen=True)
 class Parting:
-    """The first iteration in which the logs of two runs differ, and the names of the differing hashes and scalars."""
+    """One iteration of two logs: the names of the compared and the differing hashes, and of the differing scalars."""
 
     iteration: int
+    names: list[str]
     digests: list[str]
-    equal_digests: list[str]
     scalars: list[str]
 
 
-def compared_digests(a: Line, b: Line) -> list[str]:
-    """Return the names of the comparable hashes that both log lines contain."""
-    return [name for name in comparable_digests(a, b.digest_format) if name in b.digests]
-
-
-def parting(a: Sequence[Line], b: Sequence[Line]) -> Parting | None:
-    """Return the first iteration in which two iteration logs of equal length differ; None if the logs are equal."""
+def compare_logs(a: Sequence[Line], b: Sequence[Line]) -> list[Parting]:
+    """Compare each iteration of two logs of equal length; the scalar 0.0 differs from -0.0."""
+    found = []
     for one, other in zip(a, b, strict=True):
-        names = compared_digests(one, other)
+        names = [name for name in comparable_digests(one, other.digest_format) if name in other.digests]
         digests = [name for name in names if one.digests[name] != other.digests[name]]
-        scalars = differing_scalars(one, other)
-        if digests or scalars:
-            return Parting(one.iteration, digests, [name for name in names if name not in digests], scalars)
-    return None
+        x, y = one.scalars, other.scalars
+        scalars = [n for n in dict.fromkeys([*x, *y]) if n not in x or n not in y or repr(x[n]) != repr(y[n])]
+        found.append(Parting(one.iteration, names, digests, scalars))
+    return found
 
 
-def differing_scalars(a: Line, b: Line) -> list[str]:
-    """Return the scalars that differ between two log lines, or that only one line contains; 0.0 differs from -0.0."""
-    names = dict.fromkeys([*a.scalars, *b.scalars])
-    return [n for n in names if n not in a.scalars or n not in b.scalars or repr(a.scalars[n]) != repr(b.scalars[n])]
-
-
-def scalars_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the logged scalars of two runs in every iteration."""
-    changed = {x.iteration: names for x, y in zip(a, b, strict=True) if (names := differing_scalars(x, y))}
-    if not a:
+def scalars_part(logs: Sequence[Parting], width: int) -> Part:
+    """Return how the logged scalars of two runs differ; ``width`` is the number of scalars of an iteration."""
+    changed = [parting for parting in logs if parting.scalars]
+    if not logs:
         return Part("not compared", "the runs have no common iteration")
-    details = {"iterations": len(a), "differing_iterations": len(changed)}
+    details = {"iterations": len(logs), "differing_iterations": len(changed)}
     if not changed:
-        width = max(len(line.scalars) for line in a)
-        return Part("equal", f"{width} scalars of {len(a)} iterations", details)
-    first = next(iter(changed))
-    text = f"from iteration {first} on, in {len(changed)} of {len(a)} iterations"
-    return Part("different", text, {**details, "first": first, "names": changed[first]})
+        return Part("equal", f"{width} scalars of {len(logs)} iterations", details)
+    first = changed[0]
+    text = f"from iteration {first.iteration} on, in {len(changed)} of {len(logs)} iterations"
+    return Part("different", text, {**details, "first": first.iteration, "names": first.scalars})
 
 
-def digests_part(a: Sequence[Line], b: Sequence[Line]) -> Part:
-    """Compare the logged hashes of two runs' training states in every iteration."""
-    names: dict[str, int] = {}
+def digests_part(logs: Sequence[Parting]) -> Part:
+    """Return how the logged hashes of two runs' training states differ."""
+    names = Counter(name for parting in logs for name in parting.names)
     first: dict[str, int] = {}
-    for one, other in zip(a, b, strict=True):
-        for name in compared_digests(one, other):
-            names[name] = names.get(name, 0) + 1
-            if one.digests[name] != other.digests[name]:
-                first.setdefault(name, one.iteration)
+    for parting in logs:
+        first |= {name: parting.iteration for name in parting.digests if name not in first}
     details = {"names": list(names), "first_difference": first}
     if not names:
         return Part("not compared", "the runs have no digests in the same format", details)

@@ -138,7 +138,17 @@ def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
         )
     except OSError as error:
         raise ViewerLostError(str(error)) from error
-    _wait_for(port, process)
+    end = time.monotonic() + _START_S
+    while True:
+        if process.poll() is not None:
+            raise ViewerLostError("Rerun's viewer stopped at its start; perhaps there is no display")
+        try:
+            with socket.create_connection((LOOPBACK, port), timeout=1.0):
+                break
+        except OSError as error:
+            if time.monotonic() > end:
+                raise ViewerLostError("Rerun's viewer does not answer") from error
+            time.sleep(0.1)
     feed, is_over = Feed(path, folder, port, lambda: process.poll() is None), False
     while not is_over:
         ready, _, _ = select.select([sys.stdin.fileno()], [], [], _POLL_S)
@@ -146,19 +156,6 @@ def follow(path: Path, folder: Path, viewer: Sequence[str]) -> None:
         if process.poll() is not None:
             raise ViewerLostError("the viewer was closed")
         feed.step()
-
-
-def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
-    end = time.monotonic() + _START_S
-    while time.monotonic() < end:
-        if process.poll() is not None:
-            raise ViewerLostError("Rerun's viewer stopped at its start; perhaps there is no display")
-        try:
-            with socket.create_connection((LOOPBACK, port), timeout=1.0):
-                return
-        except OSError:
-            time.sleep(0.1)
-    raise ViewerLostError("Rerun's viewer does not answer")
 
 
 def free_port() -> int:

@@ -42,12 +42,9 @@ class Recorder:
     a training, ``iteration``.
 
     Args:
-        path: the file.
-        env: the environment.
+        path, env, env_ids: the file, the environment, and the indices of the recorded environments.
         recording_id: start of the recording's id, such as the run's id; the id ends with a hash of ``path``.
-        name: the name that the viewer shows.
-        env_ids: the recorded environments.
-        purpose: selects the layout.
+        name, purpose: the name that the viewer shows, and the purpose that selects the viewer's layout.
         about: additional values of the property ``wheelleg``: run id, task, checkpoint.
         keep_until: the last control step of an existing file that is kept; None refuses an existing file.
         flush_every: frames after which all data is written to the file; None writes only at ``flush``.
