@@ -6,8 +6,6 @@ Without WORD, all faults are planted; otherwise those whose description or file 
 line per fault and a total. It exits with 1 if a test passes in spite of its fault, or fails without any fault.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -36,7 +34,6 @@ class Fault:
     tests: list[str]
 
     def plant(self, root: Path) -> None:
-        """Write the fault into the file below ``root``."""
         path = root / self.file
         content = path.read_text(encoding="utf-8")
         if (count := content.count(self.text)) != 1:
@@ -45,12 +42,10 @@ class Fault:
 
 
 def load() -> list[Fault]:
-    """Return the faults of mutants.yaml."""
     return [Fault(**entry) for entry in yaml.safe_load(LIST.read_text(encoding="utf-8"))]
 
 
 def copied(root: Path) -> None:
-    """Copy all files of the working tree that git does not ignore to ``root``."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     names = subprocess.run(listed, cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.split("\0")
     for name in filter(None, names):
@@ -60,7 +55,6 @@ def copied(root: Path) -> None:
 
 
 def exit_status(root: Path, tests: Iterable[str]) -> int:
-    """Run tests of the copy; return pytest's exit status, or -1 after 15 minutes."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", "-m", "not full"]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     try:

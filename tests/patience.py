@@ -1,7 +1,5 @@
 """Time limits for tests that wait for other processes. The limits only end tests that hang."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Test that the source code lets the environment run on any physics engine and any device."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Test that packages import only lower layers, and that no modules import each other in a cycle."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -45,7 +43,6 @@ MOST_FILES = 22
 
 
 def modules() -> dict[str, Path]:
-    """Return every module of the package by its name."""
     paths = sorted(PACKAGE.rglob("*.py"))
     names = [".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in paths]
     return {name.removesuffix(".__init__"): path for name, path in zip(names, paths, strict=True)}
@@ -68,7 +65,6 @@ def graph() -> dict[str, set[str]]:
 
 
 def circle(graph: dict[str, set[str]]) -> list[str]:
-    """Return the modules of an import cycle; empty if there is no cycle."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

@@ -1,7 +1,5 @@
 """Test whether a YAML value fits an annotation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Other people's libraries around our environments. What is not installed skips: ``nox -s clients`` has it all."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``agent.logger=wandb`` with the library itself, offline: what it would send, read back with its own messages."""
 
-from __future__ import annotations
-
 import json
 import socket
 import struct

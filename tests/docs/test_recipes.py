@@ -1,7 +1,5 @@
 """The recipes of the docs, run as they stand: their files are written, and their commands find no mistake."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

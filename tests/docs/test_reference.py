@@ -1,7 +1,5 @@
 """The pages that are made from the stock files: they are what the files say now, and leave no key without a meaning."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

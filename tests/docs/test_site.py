@@ -1,7 +1,5 @@
 """The manual as a site: one overview of the results, a search that splits keys, and nothing from other hosts."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -3,8 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+from inspection.synthetic import STEP_DT, Writer, times
 
-DT = 0.02
+DT = STEP_DT
 STEPS = 60
 FELL_AT = 40
 SPEED = 0.5
@@ -56,38 +57,36 @@ def numbers(steps: np.ndarray) -> Columns:
 
 
 def write_recording(path: Path, *, env_ids: Sequence[int] = (0,), training: bool = False) -> Path:
-    stream = rr.RecordingStream("wheelleg", recording_id=path.stem, send_properties=False)
-    stream.save(path)
+    writer, steps = Writer(path, recording_id=path.stem), steps_of(training=training)
+    iterations = (steps - 1) // ITERATION_STEPS if training else None
     told = {"format_version": 2, "purpose": "training" if training else "play", "env_ids": list(env_ids), "step_dt": DT}
-    stream.send_property("wheelleg", rr.AnyValues(**told))
-    stream.send_property("robot", rr.AnyValues(root="base", bodies=["base", "wheel"], height=0.28))
-    stream.send_recording_name(path.stem)
+    writer.stream.send_property("wheelleg", rr.AnyValues(**told))
+    writer.stream.send_property("robot", rr.AnyValues(root="base", bodies=["base", "wheel"], height=0.28))
+    writer.stream.send_recording_name(path.stem)
     for place, env_id in enumerate(env_ids):
         branch = f"env_{env_id}/" if len(env_ids) > 1 else ""
-        _environment(stream, branch, steps_of(training=training), place, training=training)
-    _ground(stream, steps_of(training=training), training=training)
+        for entity, column in numbers(steps).items():
+            name = entity.split("/")[-1]
+            writer.numbers(f"{branch}{entity}", column + 0.001 * place, steps, [name], iterations)
+        forces = np.column_stack((0.0 * steps, 20.0 * (steps % 2)))
+        writer.numbers(f"{branch}contacts/feet", forces, steps, ["base", "wheel"], iterations)
+        writer.static(f"{branch}rewards", terms=["effort", "alive"])
+        writer.static(f"{branch}joints/knee", effort_limit=2.0, stiffness=3.0)
+        writer.static(f"{branch}joints/roll", effort_limit=9.0, stiffness=0.0)
+        _bodies(writer.stream, branch, steps, times(steps, iterations))
+    square = TILE * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    ground = rr.Mesh3D(vertex_positions=square, triangle_indices=[[0, 1, 2], [0, 2, 3]])
+    writer.stream.log("ground", ground, static=True)
+    first = times(steps[:1], None if iterations is None else iterations[:1])
+    writer.stream.send_columns("ground", first, rr.Transform3D.columns(translation=[[0.0, 0.0, 0.0]]))
     if training:
-        _scalars(stream)
-    stream.disconnect()
-    return path
+        done = np.arange(ITERATIONS)
+        for key, values in scalar_values().items():
+            writer.numbers(f"training/{key}", values, ITERATION_STEPS * (done + 1), None, done)
+    return writer.close()
 
 
-def _environment(stream: rr.RecordingStream, branch: str, steps: np.ndarray, place: int, *, training: bool) -> None:
-    times = _times(steps, training=training)
-    for entity, column in numbers(steps).items():
-        stream.log(f"{branch}{entity}", rr.SeriesLines(names=[entity.split("/")[-1]]), static=True)
-        stream.send_columns(f"{branch}{entity}", times, rr.Scalars.columns(scalars=column + 0.001 * place))
-    forces = np.column_stack((0.0 * steps, 20.0 * (steps % 2)))
-    stream.log(f"{branch}contacts/feet", rr.SeriesLines(names=["base", "wheel"]), static=True)
-    columns = rr.Scalars.columns(scalars=forces.ravel()).partition([2] * len(steps))
-    stream.send_columns(f"{branch}contacts/feet", times, columns)
-    stream.log(f"{branch}rewards", rr.AnyValues(terms=["effort", "alive"]), static=True)
-    stream.log(f"{branch}joints/knee", rr.AnyValues(effort_limit=2.0, stiffness=3.0), static=True)
-    stream.log(f"{branch}joints/roll", rr.AnyValues(effort_limit=9.0, stiffness=0.0), static=True)
-    _bodies(stream, branch, steps, times)
-
-
-def _bodies(stream: rr.RecordingStream, branch: str, steps: np.ndarray, times: list) -> None:
+def _bodies(stream: rr.RecordingStream, branch: str, steps: np.ndarray, moments: list) -> None:
     base, wheel = f"world/{branch}base", f"world/{branch}wheel"
     stream.log(f"{base}/shell", rr.Boxes3D(half_sizes=[[0.08, 0.06, 0.05]], colors=[ORANGE]), static=True)
     stream.log(f"{base}/eye", rr.Ellipsoids3D(half_sizes=[[0.02, 0.02, 0.02]], centers=[[0.08, 0, 0]]), static=True)
@@ -102,20 +101,13 @@ def _bodies(stream: rr.RecordingStream, branch: str, steps: np.ndarray, times: l
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(steps), 1))
     for entity, height in ((base, HEIGHT), (wheel, 0.05)):
         where = np.column_stack((base_x(steps), 0.0 * steps, np.full(len(steps), height)))
-        stream.send_columns(entity, times, rr.Transform3D.columns(translation=where, quaternion=upright))
+        stream.send_columns(entity, moments, rr.Transform3D.columns(translation=where, quaternion=upright))
     touching = steps % 2 == 1
     origins = np.column_stack((base_x(steps), np.full(len(steps), -0.15), np.full(len(steps), 0.05)))[touching]
     arrows = rr.Arrows3D.columns(origins=origins, vectors=np.tile([0.0, 0.0, CONTACT], (len(origins), 1)))
     overlay = f"overlay/{branch}contacts/feet"
     stream.log(overlay, rr.Arrows3D.from_fields(colors=[(255, 0, 255)], radii=[0.003]), static=True)
-    stream.send_columns(overlay, times, arrows.partition(touching.astype(int)))
-
-
-def _ground(stream: rr.RecordingStream, steps: np.ndarray, *, training: bool) -> None:
-    square = TILE * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    stream.log("ground", rr.Mesh3D(vertex_positions=square, triangle_indices=[[0, 1, 2], [0, 2, 3]]), static=True)
-    first = rr.Transform3D.columns(translation=[[0.0, 0.0, 0.0]])
-    stream.send_columns("ground", _times(steps[:1], training=training), first)
+    stream.send_columns(overlay, moments, arrows.partition(touching.astype(int)))
 
 
 def scalar_values() -> Columns:
@@ -131,19 +123,3 @@ def scalar_values() -> Columns:
         "Episode_Termination/fell": 1 - i / 20,
         "Episode_Termination/time_out": i / 20,
     }
-
-
-def _scalars(stream: rr.RecordingStream) -> None:
-    iterations = np.arange(ITERATIONS)
-    steps = ITERATION_STEPS * (iterations + 1)
-    times = [*_times(steps, training=False), rr.TimeColumn("iteration", sequence=iterations)]
-    for key, values in scalar_values().items():
-        stream.send_columns(f"training/{key}", times, rr.Scalars.columns(scalars=values))
-
-
-def _times(steps: np.ndarray, *, training: bool) -> list:
-    nanoseconds = np.round(steps * DT * 1e9).astype("timedelta64[ns]")
-    columns = [rr.TimeColumn("step", sequence=steps), rr.TimeColumn("sim_time", duration=nanoseconds)]
-    if training:
-        columns.append(rr.TimeColumn("iteration", sequence=(steps - 1) // ITERATION_STEPS))
-    return columns

@@ -8,8 +8,6 @@ script uses only the command line, so that renamed internal modules do not break
 wording of a sentence does not count, and a line of a config file counts by its text instead of its number.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io
@@ -196,7 +194,6 @@ _MOUNTS = {
 
 
 def compose(every: int = 1) -> dict[str, Any]:
-    """Compose the stock tasks, their variants, and every stock term: values, sources and layouts."""
     with scratch() as folder:
         stand = _leaves("task=stand")
         found: dict[str, Any] = {"task=stand": stand}
@@ -214,7 +211,6 @@ def compose(every: int = 1) -> dict[str, Any]:
 
 
 def _leaves(*words: str) -> dict[str, Any]:
-    """Return the value and the source of each leaf of a composition, and what each leaf hides."""
     status, out, err = command("compose", "--provenance", *words, "--json")
     if status:
         return {"status": status, "error": names_in(err)}
@@ -235,7 +231,6 @@ def _leaf(path: str, node: dict[str, Any]) -> list[Any]:
 
 
 def _all_terms(folder: Path, group: str, package: str) -> dict[str, Any]:
-    """Compose a task that selects every option of a group of terms."""
     _, out, _ = command("list", "options", "--json")
     names = [(row["group"] + "/" + row["option"]).partition("/")[2] for row in json.loads(out)
              if row["group"].partition("/")[0] == group]  # fmt: skip
@@ -263,7 +258,6 @@ _EXPLAINED = [
 
 
 def explain(every: int = 1) -> dict[str, Any]:
-    """Explain set and unset keys of every config section, a changed key, and misspelled keys."""
     with scratch():
         found = {key: answer("explain", key) for key in _EXPLAINED[::every]}
         for task in TASKS[1:]:
@@ -386,7 +380,6 @@ _WEAK = [
 
 
 def doctor(every: int = 1) -> dict[str, Any]:
-    """Examine the stock robots, and robots with one mistake each."""
     with scratch() as folder:
         found = {"stock USD": answer("doctor", STOCK_ROBOT, digits=5)}
         robots = [["task=stand", f"robot={name}"] for name in ("explicit", "late", "motor", "physical")]
@@ -440,7 +433,6 @@ def short_training(only: str | None = None) -> dict[str, Any]:
 
 
 def cpu() -> str:
-    """Return the name, family, model and stepping of this machine's CPU."""
     fields = dict.fromkeys(("model name", "cpu family", "model", "stepping"), "")
     for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
         name, _, value = line.partition(":")
@@ -479,7 +471,6 @@ def _is_state(name: str) -> bool:
 
 
 def _tensors(node: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the path and the sha256 of each tensor."""
     if isinstance(node, torch.Tensor):
         content = node.detach().contiguous().cpu().reshape(-1).view(torch.uint8).numpy().tobytes()
         yield path, _sha256(f"{node.dtype} {tuple(node.shape)} ".encode() + content)
@@ -543,7 +534,6 @@ def _compare(old: Any, new: Any, path: str) -> list[str]:
 
 
 def load(file: Path = GOLDEN) -> dict[str, Any]:
-    """Return the recorded sections."""
     return json.loads(file.read_text(encoding="utf-8"))
 
 

@@ -1,7 +1,5 @@
 """The commands and options that exist, taken from the parsers that ``wheelleg COMMAND --help`` builds."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The run that the code of commit c696ebe trained, packed as test data."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import tarfile

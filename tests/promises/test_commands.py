@@ -1,7 +1,5 @@
 """One command line for each option that no other test uses from the command line: see ledger.yaml."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Compare what the commands answer with golden.json, and use a run of old code: see golden.py."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

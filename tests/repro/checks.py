@@ -3,8 +3,6 @@
 Each proof trains small runs in new processes and returns the unequal values.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import shutil
@@ -20,40 +18,32 @@ import yaml
 from repro.runs import ITERATIONS, Lab, Refused, differences, only_run
 from wheelleg_exp.config.composing.compose import compose
 
+# With AMX, only float32 products do not depend on the number of threads.
+SAME = ["agent.matmul=float32"] if torch.cpu._is_amx_tile_supported() else []
+
 
 def two_processes(lab: Lab) -> list[str]:
-    """Compare the runs of one training command in two processes with different hash seeds."""
     return differences(lab.once(), lab.train(PYTHONHASHSEED="12345"))
 
 
 def settings(lab: Lab) -> list[str]:
-    """Compare a run with a run of other thread counts, without recording and TensorBoard, in another process."""
-    same = ["agent.matmul=float32"] if torch.cpu._is_amx_tile_supported() else []
     other = ["agent.torch_threads=1", "env.sim.nthread=3", "recording.enabled=false", "agent.logger=null"]
-    return differences(lab.once(*same), lab.train(*same, *other, PYTHONHASHSEED="12345"))
+    return differences(lab.once(*SAME), lab.train(*SAME, *other, PYTHONHASHSEED="12345"))
 
 
 def torch_threads(lab: Lab) -> list[str]:
-    """Compare a run with one and a run with two torch threads.
-
-    With AMX, only float32 products do not depend on the number of threads.
-    """
-    same = ["agent.matmul=float32"] if torch.cpu._is_amx_tile_supported() else []
-    return differences(lab.once(*same), lab.once(*same, "agent.torch_threads=1"))
+    return differences(lab.once(*SAME), lab.once(*SAME, "agent.torch_threads=1"))
 
 
 def physics_threads(lab: Lab) -> list[str]:
-    """Compare a run with one MuJoCo thread and a run with three MuJoCo threads."""
     return differences(lab.once("env.sim.nthread=1"), lab.once("env.sim.nthread=3"))
 
 
 def recording(lab: Lab) -> list[str]:
-    """Compare a run with and a run without a recording."""
     return differences(lab.once(), lab.once("recording.enabled=false"))
 
 
 def tensorboard(lab: Lab) -> list[str]:
-    """Compare runs with and without TensorBoard."""
     return differences(lab.once(), lab.once("agent.logger=null"))
 
 
@@ -80,7 +70,6 @@ def _unequal_tensors(a: Path, b: Path) -> Iterator[str]:
 
 
 def splits(lab: Lab, every: Sequence[Sequence[int]] = ([1, 2, 3],)) -> list[str]:
-    """Compare a run with runs that were stopped after some iterations, by default after each one, and resumed."""
     straight, found = lab.once(), []
     for stops in every:
         run = lab.train(f"agent.max_iterations={stops[0]}")
@@ -109,7 +98,6 @@ def killed(lab: Lab, lines: Sequence[int] = (1, 3), seed: int = 0, longest_s: fl
 
 
 def kill(lab: Lab, words: list[str | Path], root: Path, lines: int, delay_s: float) -> None:
-    """Start a command, and kill it ``delay_s`` after it has logged a number of iterations."""
     began = time.time()
     process = subprocess.Popen(
         lab.command(*words), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=lab.variables()
@@ -126,7 +114,6 @@ def kill(lab: Lab, words: list[str | Path], root: Path, lines: int, delay_s: flo
 
 
 def replay(lab: Lab) -> list[str]:
-    """Train a run again from its own snapshot, in another folder."""
     run = copy_of(lab.once(), lab.folder / "replayed")
     answer = lab.wheelleg("replay", run, "--root", run.parents[1], "--json", statuses=(0, 1))
     if answer.status:
@@ -135,12 +122,10 @@ def replay(lab: Lab) -> list[str]:
 
 
 def snapshot(lab: Lab) -> list[str]:
-    """Compare the snapshot of a run with the config that its overrides compose to."""
     return snapshot_differences(lab.once())
 
 
 def snapshot_differences(run: Path) -> list[str]:
-    """Return the leaves in which a run's snapshot differs from what its overrides compose to today."""
     composed = compose(yaml.safe_load((run / ".hydra/overrides.yaml").read_text())).config
     kept = yaml.safe_load((run / ".hydra/config.yaml").read_text())
     parts = {part: yaml.safe_load((run / "params" / f"{part}.yaml").read_text()) for part in ("env", "agent")}
@@ -176,7 +161,6 @@ def notices(lab: Lab, run: Path, name: str) -> bool:
 
 
 def copy_of(run: Path, root: Path) -> Path:
-    """Copy a run below another root, and return the copy."""
     target = root / run.parent.name / run.name
     shutil.copytree(run, target)
     return target

@@ -1,7 +1,5 @@
 """One folder, one cache of converted robots, and one plain training for all proofs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

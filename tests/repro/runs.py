@@ -1,7 +1,5 @@
 """Small trainings by the command line, and the comparison of two runs."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -78,7 +76,6 @@ class Lab:
         return self._runs[overrides]
 
     def take(self, run: Path) -> None:
-        """Use a run of another lab as the run without overrides."""
         self._runs[()] = run
 
     def resume(self, run: Path, *overrides: str) -> None:

@@ -1,7 +1,5 @@
 """The long proofs: complete trainings and many kills. ``nox -s repro -- full`` runs them."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """Each proof fails when a planted term breaks its promise."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 

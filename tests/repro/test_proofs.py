@@ -1,7 +1,5 @@
 """Runs repeat bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Small run directories with all files of a training, made without training."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Terms that each break one reproducibility promise, and one term that breaks no promise."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
