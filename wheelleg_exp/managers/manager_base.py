@@ -139,7 +139,7 @@ class Term(Stateful):
         settings = {} if self.settings is None else self.settings.state_dict()
         return {"settings": settings, "object": None if self.stateful is None else self.stateful.state_dict()}
 
-    def load_state_dict(self, saved: Mapping[str, Mapping[str, object]]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         if self.settings is not None:
             self.settings.load_state_dict(saved["settings"])
         self.take_arguments()
