@@ -146,7 +146,9 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if an observation or a number that an event wrote is NaN or inf.
         """
         self._settings_may_have_changed()
-        skipped = self._skipped()
+        # ``skipped`` is the mask (N,) of environments that this step only resets.
+        ends, is_late = self.termination_manager, self.autoreset == "next_step"
+        skipped = ends.dones & (self.episode_length_buf > 0) if is_late else None
         self._act(action)
         for substep in range(self.decimation):
             if substep:
@@ -154,7 +156,8 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             self.scene.sim.step()
             self.recorder_manager.record_post_physics_decimation_step()
         self.common_step_counter += 1
-        done = self._find_ended(skipped)
+        done, unstable = self._update_and_terminate(skipped)
+        self._ended.start(done, unstable)  # This starts a copy of the masks to the host.
         self.reward_manager.start_step()
         reward_failed = self._compute_reward(skipped)
         ended = self._end_episodes(reward_failed)
@@ -174,7 +177,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if self.autoreset == "same_step":
             # If ``autoreset`` is ``next_step`` or ``disabled``, observations of failed environments can be NaN.
             require_finite_observations(self, is_noted=True)
-        ends = self.termination_manager
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
 
     def _settings_may_have_changed(self) -> None:
@@ -184,7 +186,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Observations, dict[str, object]]:
         """Reset the environments ``env_ids`` (by default all), and return the observations of all environments.
 
         The observations of environments that are not reset do not change. A ``seed`` restarts all random streams.
@@ -199,7 +201,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         env_ids: torch.Tensor | None = None,
         seed: int | None = None,
         is_relative: bool = False,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Observations, dict[str, object]]:
         """Reset environments like ``reset``, but start the robots in a given state, as in Isaac Lab.
 
         ``state`` has the layout of ``scene.get_state``; row i belongs to the environment ``env_ids[i]``.
@@ -208,7 +210,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     def _restart(
         self, seed: int | None, env_ids: torch.Tensor | None, state: RobotState | None, is_relative: bool
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Observations, dict[str, object]]:
         self._settings_may_have_changed()
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
@@ -228,13 +230,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         require_finite_observations(self, only)
         return observations, self.extras
 
-    def _skipped(self) -> torch.Tensor | None:
-        """Return a mask (N,) of environments that this step only resets; None unless ``autoreset`` is ``next_step``."""
-        if self.autoreset != "next_step":
-            return None
-        found: torch.Tensor | None = self.termination_manager.dones & (self.episode_length_buf > 0)
-        return found
-
     @captured_part()
     def _act(self, action: torch.Tensor) -> None:
         """Process the action, and write the controls for the control step's first physics step."""
@@ -251,12 +246,6 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.observation_manager.sample_between()
         self.action_manager.apply_action()
         self.scene.write_data_to_sim()
-
-    def _find_ended(self, skipped: torch.Tensor | None) -> torch.Tensor:
-        """Return a mask (N,) of the environments whose episode ends, and start to copy the mask to the host."""
-        done, unstable = self._update_and_terminate(skipped)
-        self._ended.start(done, unstable)
-        return done
 
     @captured_part()
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -321,12 +310,12 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.extras["log_is_fresh"] = True
 
     @captured_part()
-    def _reset_rows(self, env_ids: torch.Tensor, with_errors: torch.Tensor | None) -> dict[str, Any]:
+    def _reset_rows(self, env_ids: torch.Tensor, with_errors: torch.Tensor | None) -> dict[str, object]:
         """Reset the simulations and the managers of ``env_ids``; return the log of the episodes that ended.
 
         If some robots are exact, ``with_errors`` are those of ``env_ids`` that have the errors of ``env.realism``.
         """
-        log: dict[str, Any] = {**self.scene.diagnostics(env_ids)}
+        log: dict[str, object] = {**self.scene.diagnostics(env_ids)}
         self.scene.reset(env_ids)
         self.event_manager.apply("reset", env_ids, self.common_step_counter, with_errors)
         for manager in self.reset_order:
@@ -334,7 +323,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.episode_length_buf.index_fill_(0, env_ids, 0)
         return log
 
-    @captured_part(in_python=lambda draws: draws)
+    @captured_part(in_python=bool)
     def _advance_commands(self, draws: bool) -> None:
         """Advance the commands and the timers of interval events; draw new commands where their timer expired."""
         self.command_manager.compute(self.step_dt, draws)
@@ -352,7 +341,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.event_manager.apply(mode, env_ids, self.common_step_counter)
         self.scene.refresh()
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return the environment's complete state; raise ConfigError if a term holds state that cannot be saved."""
         self.scene.require_compiled_model()
         attributes = self._attributes.state_dict()

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple, Protocol, TypeGuard, TypeVar, cast
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
+from torch.utils._pytree import tree_leaves, tree_map
 
 from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import SimulationFailure
@@ -53,7 +53,7 @@ _MOST_MISMATCHES = 64
 _MOST_KNOWN = 64  # numbered combinations of settings
 
 Key = tuple[Any, ...]
-Method = TypeVar("Method", bound=Callable[..., Any])
+Method = TypeVar("Method", bound=Callable[..., object])
 
 
 class CapturedEnv(Env, Protocol):
@@ -74,7 +74,7 @@ def captured_part(
 
     def decorate(method: Method) -> Method:
         @functools.wraps(method)
-        def run(env: CapturedEnv, *args: object) -> Any:
+        def run(env: CapturedEnv, *args: object) -> object:
             if env.graph_capture is None or (in_python is not None and in_python(*args)):
                 return method(env, *args)
             return env.graph_capture.run(method, args, to_caller=to_caller)
@@ -339,7 +339,7 @@ class GraphCapture:
         """The number of recorded CUDA graphs of all captured methods."""
         return sum(len(part.recordings) for part in self.parts.values())
 
-    def run(self, method: Callable[..., Any], args: tuple[Any, ...], *, to_caller: bool) -> Any:
+    def run(self, method: Callable[..., object], args: tuple[object, ...], *, to_caller: bool) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         env = self._env
         name = method.__name__
@@ -348,11 +348,12 @@ class GraphCapture:
             work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
             self.parts[name] = CapturedPart(work, self.values, self._make_graph, caches, streams, resets)
         part = self.parts[name]
-        found = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
+        found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
-            env.scene.robot.mark_written(args[0])
+            ids = cast(torch.Tensor, args[0])
+            env.scene.robot.mark_written(ids)
             for manager in self._reset_later:
-                found.update(manager.reset(args[0]))
+                found.update(manager.reset(ids))
                 self.values.is_checked &= not manager.active_terms
         return cloned(found) if to_caller else found
 
@@ -378,10 +379,9 @@ class Recording:
     used: int = 0
 
     def __post_init__(self) -> None:
-        self._places = [(slot.holder, slot.key, static) for slot, static in self.buffers]
         counts = Counter(_address(static) for _, static in self.buffers)
         # Other values cannot be copied into a tensor whose memory several slots use.
-        self._shared = {id(s) for _, s in self.buffers if counts[_address(s)] > 1}
+        self._shared = {id(static) for _, static in self.buffers if counts[_address(static)] > 1}
 
     def load(self, args: tuple[object, ...]) -> str | None:
         """Copy buffers and arguments to the CUDA graph's tensors; return the label of a slot that does not fit."""
@@ -389,15 +389,15 @@ class Recording:
             if slot.value is not container:
                 return slot.label
         try:
-            moved = [(place, now) for place in self._places if (now := place[0][place[1]]) is not place[2]]
+            moved = [(slot, own, now) for slot, own in self.buffers if (now := slot[0][slot[1]]) is not own]
         except LookupError:
             return next(slot.label for slot, _ in self.buffers if slot.value is None)
-        for (_, _, static), now in moved:
-            if id(static) in self._shared or not _fits(now, static):
-                return next(slot.label for slot, known in self.buffers if known is static)
-        _copy([(static, now) for (_, _, static), now in moved])
-        for (holder, key, static), _ in moved:
-            holder[key] = static
+        for slot, own, now in moved:
+            if id(own) in self._shared or not _fits(now, own):
+                return slot.label
+        _copy([(own, now) for _, own, now in moved])
+        for slot, own, _ in moved:
+            slot.holder[slot.key] = own
         for arg, now in zip(self.inputs, args, strict=True):
             if isinstance(arg, torch.Tensor) and isinstance(now, torch.Tensor):
                 arg.copy_(now)
@@ -442,7 +442,7 @@ class CapturedPart:
         self._drawn: list[torch.Generator] = []
         self._last: Key = (-1, ())
 
-    def __call__(self, *args: object) -> Any:
+    def __call__(self, *args: object) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         self.reset_caches()
         if self.fails:
@@ -480,7 +480,7 @@ class CapturedPart:
         output = recording.replay()
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
 
-    def _run(self, args: tuple[object, ...]) -> Any:
+    def _run(self, args: tuple[object, ...]) -> object:
         self.values.is_checked = False  # Python code may change any attribute of the environment.
         return self.work(*args)
 
@@ -508,7 +508,7 @@ class CapturedPart:
         name = getattr(getattr(self.work, "func", self.work), "__name__", "part").strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
-    def _run_checked(self, args: tuple[object, ...], state: Key) -> Any:
+    def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         values = self.values
         before = [(slot, slot.value, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
@@ -586,11 +586,5 @@ class CapturedPart:
         buffers = [(slot, value) for slot, value in tensors if _address(value) in memory]
         holders = {id(slot.holder) for slot, _ in buffers}
         containers = [(slot, value) for slot, value in before.values() if id(value) in holders]
-        return Recording(graph, inputs, buffers, containers, assigned, _frozen(outputs[0]))
-
-
-def _frozen(tree: object) -> Any:
-    """Copy the containers of a nested structure, but not its tensors: recorded work may change the originals."""
-    if isinstance(tree, dict):
-        return {key: _frozen(value) for key, value in tree.items()}
-    return type(tree)(_frozen(value) for value in tree) if isinstance(tree, (list, tuple)) else tree
+        # Copy the containers of the output, but not its tensors: the method may change its containers later.
+        return Recording(graph, inputs, buffers, containers, assigned, tree_map(lambda leaf: leaf, outputs[0]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import torch
 
@@ -13,7 +13,8 @@ from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET
 
 if TYPE_CHECKING:
-    from wheelleg_exp.managers import ActionManager, Env
+    from wheelleg_exp.managers import ActionManager, Env, ObservationManager, TerminationManager
+    from wheelleg_exp.managers.observation_term import Group
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
@@ -32,7 +33,7 @@ class Cfg(Mapping[str, Any]):
     ``root`` is the complete config section ``env``.
     """
 
-    def __init__(self, section: Mapping[str, Any], path: str = "env", root: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, section: Mapping[str, object], path: str = "env", root: object = None) -> None:
         vars(self).update(_section=section, _path=path, _root=section if root is None else root)
 
     def __getitem__(self, key: str) -> Any:
@@ -116,11 +117,11 @@ class IsaacLabAttributes(Stateful):
         decimation: int
         common_step_counter: int
         action_manager: ActionManager
-        observation_manager: Any
-        termination_manager: Any
+        observation_manager: ObservationManager
+        termination_manager: TerminationManager
 
     @property
-    def unwrapped(self) -> Any:
+    def unwrapped(self) -> Self:
         """The environment itself."""
         return self
 
@@ -135,27 +136,24 @@ class IsaacLabAttributes(Stateful):
         return self.action_manager.total_action_dim
 
     @property
-    def obs_buf(self) -> Any:
+    def obs_buf(self) -> dict[str, Group]:
         """The last observations by group."""
         return self.observation_manager.obs_buf
 
     @property
     def reset_buf(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode ended in the last control step."""
-        found: torch.Tensor = self.termination_manager.dones
-        return found
+        return self.termination_manager.dones
 
     @property
     def reset_terminated(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode failed in the last control step."""
-        found: torch.Tensor = self.termination_manager.terminated
-        return found
+        return self.termination_manager.terminated
 
     @property
     def reset_time_outs(self) -> torch.Tensor:
         """Mask (N,) of the environments whose episode reached its time limit in the last control step."""
-        found: torch.Tensor = self.termination_manager.time_outs
-        return found
+        return self.termination_manager.time_outs
 
     @property
     def _sim_step_counter(self) -> int:

@@ -57,8 +57,8 @@ class WheellegEnv(gymnasium.Env[Arrays, np.ndarray]):
         """
         super().reset(seed=seed, options=options)
         has_run = bool(self.env.episode_length_buf[0])
-        observations, extras = self.env.reset(seed=seed)
-        return _first(as_arrays(observations)), {"log": task_env.log_of(extras)} if has_run else {}
+        observations, _ = self.env.reset(seed=seed)
+        return _first(as_arrays(observations)), {"log": task_env.log_of(self.env)} if has_run else {}
 
     def step(self, action: np.ndarray) -> tuple[Arrays, float, bool, bool, dict[str, object]]:
         """Advance the environment by one control step with a raw action (A,).

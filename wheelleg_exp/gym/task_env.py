@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -50,10 +50,9 @@ def task_env(
 
 def observation_space(env: ManagerBasedRLEnv) -> gymnasium.spaces.Dict:
     """Return the space of one environment's observations: unbounded float32 vectors by group."""
-    shapes: dict[str, Any] = env.observation_manager.group_obs_dim
-    boxes: dict[str, gymnasium.Space[Any]] = {
-        group: gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float32) for group, shape in shapes.items()
-    }
+    boxes: dict[str, gymnasium.Space[Any]] = {}
+    for group, shape in env.observation_manager.group_obs_dim.items():
+        boxes[group] = gymnasium.spaces.Box(-np.inf, np.inf, cast(tuple[int, ...], shape), np.float32)
     return gymnasium.spaces.Dict(boxes)
 
 
@@ -78,9 +77,9 @@ def as_arrays(observations: Observations) -> Arrays:
     return {group: host_copy(value) for group, value in observations.items() if isinstance(value, torch.Tensor)}
 
 
-def log_of(extras: dict[str, Any]) -> dict[str, float]:
+def log_of(env: ManagerBasedRLEnv) -> dict[str, float]:
     """Return the managers' log of the episodes that ended at the last reset, by name."""
-    return {key: float(value) for key, value in extras["log"].items()}
+    return {key: float(value) for key, value in env.extras["log"].items()}
 
 
 RENDER_MODES = ["rgb_array"]

@@ -95,13 +95,13 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
         super().reset(seed=seed, options=options)
         left = host_copy(self.env.episode_length_buf > 0)
         if mask is None:
-            observations, extras = self.env.reset(seed=seed)
+            observations, _ = self.env.reset(seed=seed)
             self._done[:] = False
         else:
-            observations, extras = self.env.reset(env_ids=torch.from_numpy(mask).nonzero().squeeze(1))
+            observations, _ = self.env.reset(env_ids=torch.from_numpy(mask).nonzero().squeeze(1))
             self._done[mask] = False
             left &= mask
-        return as_arrays(observations), _log(extras, left) if left.any() else {}
+        return as_arrays(observations), self._log(left) if left.any() else {}
 
     def step(self, actions: np.ndarray) -> tuple[Arrays, np.ndarray, np.ndarray, np.ndarray, dict[str, object]]:
         """Advance every environment by one control step with raw actions (N, A)."""
@@ -127,9 +127,15 @@ class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
             for env_id, keys in extras["non_finite"]["keys"].items():
                 self._add_info(infos, {"non_finite": keys}, env_id)
         if extras["log_is_fresh"]:
-            infos |= _log(extras, started)
+            infos |= self._log(started)
         rewards = host_copy(reward.double())
         return as_arrays(observations), rewards, host_copy(terminated), host_copy(truncated), infos
+
+    def _log(self, which: NDArray[np.bool_]) -> dict[str, object]:
+        log: dict[str, object] = {}
+        for key, value in task_env.log_of(self.env).items():
+            log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
+        return {"log": log, "_log": which.copy()}
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return an image (height, width, 3) of every environment, or None without a ``render_mode``."""
@@ -167,10 +173,3 @@ def _reset_mask(options: dict[str, object] | None, num_envs: int) -> NDArray[np.
     if mask.shape != (num_envs,) or not mask.any():
         raise ValueError(f"options['reset_mask'] is {mask}; expected ({num_envs},) with at least one True")
     return mask
-
-
-def _log(extras: dict[str, object], which: NDArray[np.bool_]) -> dict[str, object]:
-    log: dict[str, object] = {}
-    for key, value in task_env.log_of(extras).items():
-        log |= {key: np.where(which, value, 0.0), f"_{key}": which.copy()}
-    return {"log": log, "_log": which.copy()}

@@ -102,7 +102,7 @@ class RowHistoryPart(Stateful):
         found: torch.Tensor = self._row.values[:, self._span].unflatten(1, (-1, self._width))
         return found
 
-    def state_dict(self) -> dict[str, torch.Tensor]:
+    def state_dict(self) -> dict[str, object]:
         return {"samples": self.samples.contiguous().clone()}
 
     def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:

@@ -11,7 +11,7 @@ _TAG = "__kind__"
 _ROBOT_PARTS = ("actuators", "wrench", "wrench_bodies", "stale", "settings")
 
 
-def from_format_2(env: Mapping[str, object]) -> dict[str, Any]:
+def from_format_2(env: Mapping[str, object]) -> dict[str, object]:
     """Return the state of an environment in the present layout; ``restore`` ignores the values it does not need.
 
     Format version 2 tagged containers, named private attributes without their underscore, and stored the values of
@@ -49,7 +49,7 @@ def from_format_2(env: Mapping[str, object]) -> dict[str, Any]:
     return found
 
 
-def present_delay(values: Mapping[str, Any]) -> dict[str, Any]:
+def present_delay(values: Mapping[str, Any]) -> dict[str, object]:
     """Return the state of a delay; at first it had no jitter and no share, later one share for all environments."""
     if "lag" not in values:
         return dict(values)
@@ -57,7 +57,7 @@ def present_delay(values: Mapping[str, Any]) -> dict[str, Any]:
     return _private({"last_lag": values["lag"], **values, "share": share})
 
 
-def _private(values: Mapping[str, object]) -> dict[str, Any]:
+def _private(values: Mapping[str, object]) -> dict[str, object]:
     """Return values under their names with and without a leading underscore."""
     return {**{f"_{name}": value for name, value in values.items()}, **values}
 

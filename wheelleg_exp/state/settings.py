@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.state.values import Unsaveable, encoded, encoded_or_itself, restored, same
@@ -20,7 +19,7 @@ class Settings:
     cannot contain, such as a function, must not change.
     """
 
-    def __init__(self, groups: Mapping[str, dict[str, Any]], key: str, skip: Collection[str] = ()) -> None:
+    def __init__(self, groups: Mapping[str, dict[str, object]], key: str, skip: Collection[str] = ()) -> None:
         self._groups, self._key, self._skip = dict(groups), key, frozenset(skip)
         self._base = self._present()
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 import torch
@@ -83,11 +83,11 @@ class Stateful:
             if declared.fill is not None:
                 getattr(self, name).index_fill_(0, env_ids, declared.fill)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, object]:
         """Return copies of all declared values that later control steps depend on."""
         return save(self)
 
-    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
+    def load_state_dict(self, saved: Mapping[str, object]) -> None:
         """Restore a state that was returned by the ``state_dict`` of an object constructed with the same arguments."""
         restore(self, saved)
 
@@ -104,7 +104,7 @@ def declarations(owner: object) -> dict[str, Declaration]:
     return found
 
 
-def parts(owner: object) -> Iterator[tuple[str, str | int | None, Any]]:
+def parts(owner: object) -> Iterator[tuple[str, str | int | None, object]]:
     """Yield the parts of an object: the attribute, the key or index in its dictionary or list, and the part."""
     for name, declared in declarations(owner).items():
         if declared.kind == "part":
@@ -119,7 +119,7 @@ def parts(owner: object) -> Iterator[tuple[str, str | int | None, Any]]:
                 yield name, None, value
 
 
-def tree(owner: object, path: str = "env") -> Iterator[tuple[str, Any]]:
+def tree(owner: object, path: str = "env") -> Iterator[tuple[str, object]]:
     """Yield an object and, recursively, all its parts, each with its config key, or a path of attributes."""
     yield path, owner
     for name, key, item in parts(owner):
@@ -128,9 +128,9 @@ def tree(owner: object, path: str = "env") -> Iterator[tuple[str, Any]]:
         yield from tree(item, getattr(item, "path", None) or own)
 
 
-def save(owner: object) -> dict[str, Any]:
+def save(owner: object) -> dict[str, object]:
     """Return an object's state as tensors and plain values, by attribute; parts give nested dictionaries."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for name, declared in declarations(owner).items():
         if declared.saved and declared.kind != "part":
             value = getattr(owner, name)
@@ -152,19 +152,21 @@ def save(owner: object) -> dict[str, Any]:
             if key is None:
                 found[name] = state
             else:
-                found.setdefault(name, {})[key] = state
+                cast("dict[object, object]", found.setdefault(name, {}))[key] = state
     return found
 
 
-def restore(owner: object, saved: Mapping[str, Any]) -> None:
+def restore(owner: object, saved: Mapping[str, object]) -> None:
     """Restore what ``save`` returned; numbers and settings that ``saved`` lacks get their initial values."""
     for name, declared in declarations(owner).items():
         if declared.saved and declared.kind != "part" and (name in saved or declared.kind != "buffer"):
             present = getattr(owner, name)
             setattr(owner, name, restored(saved.get(name, declared.initial), present))
     for name, key, item in parts(owner):
-        state = saved.get(name, {}) if key is None else saved.get(name, {}).get(key)
-        if declarations(owner)[name].saved and state is not None:
+        state = saved.get(name, {})
+        if key is not None and isinstance(state, Mapping):
+            state = state.get(key)
+        if declarations(owner)[name].saved and isinstance(state, Mapping):
             item.load_state_dict(state) if is_saving(item) else restore(item, state)
 
 
