@@ -7,7 +7,6 @@ corpus, the tests that need the corpus are skipped.
 import importlib.util
 import json
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -43,11 +42,8 @@ def check_module(folder: Path) -> ModuleType:
 
 
 def convert_asset(folder: Path, expected: dict[str, Any], output: Path) -> Conversion:
-    base, variants = _arguments(expected.get("args", []))
-    return convert(folder / expected["asset"], output, base=base, variants=variants)
-
-
-def _arguments(words: Sequence[str]) -> tuple[Any, dict[str, str]]:
+    words = expected.get("args", [])
     pairs = list(zip(words[::2], words[1::2], strict=True))
     variants = dict(value.split("=", 1) for flag, value in pairs if flag == "--variant")
-    return next((value for flag, value in pairs if flag == "--base"), "auto"), variants
+    base = next((value for flag, value in pairs if flag == "--base"), "auto")
+    return convert(folder / expected["asset"], output, base=base, variants=variants)

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.asset import Conversion, convert
+from wheelleg_exp.asset.report_writer import FALLS
 
 AXES = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 DEGREES = 180 / math.pi
@@ -61,6 +62,11 @@ def write(folder: Path, inside: str, *, header: str = SI, outside: str = "", roo
 def converted(path: Path, **options: object) -> tuple[mujoco.MjModel, Conversion]:
     done = convert(path, path.parent / "out" / "bot.xml", **options)
     return mujoco.MjModel.from_xml_path(str(done.output)), done
+
+
+def warned(conversion: Conversion) -> tuple[str, ...]:
+    """Return the warnings; most of the small robots have no colliders."""
+    return tuple(text for text in conversion.report.warnings if text != FALLS)
 
 
 def two_links(folder: Path, joint_text: str = "", *, apis: str = "", kind: str = "Revolute", **options: object):

@@ -56,15 +56,6 @@ def test_a_change_in_any_layer_is_noticed(robot, tmp_path, layer):
     assert second.key != first.key
 
 
-def test_a_changed_mass_reaches_the_model(robot, tmp_path):
-    convert_cached(robot, cache_dir=tmp_path / "cache")
-    physics = robot.parent / "configuration/wheelleg_physics.usda"
-    change(physics, "float physics:mass = 0.28", "float physics:mass = 0.38")
-    again = convert_cached(robot, cache_dir=tmp_path / "cache")
-    model = mujoco.MjModel.from_xml_path(str(again.output))
-    assert model.body_subtreemass[0] == pytest.approx(0.60)
-
-
 def test_the_same_bytes_elsewhere_are_the_same_entry(robot, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     shutil.copytree(robot.parent, elsewhere)

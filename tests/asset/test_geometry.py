@@ -1,10 +1,19 @@
-"""Rotations and polar decompositions equal those of MuJoCo and known matrix products."""
+"""Rotations, polar decompositions, and solids equal those of MuJoCo and known matrix products."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.asset.rigid_geometry import quaternion, rotation_matrix, rounded, single, split_scale
+from wheelleg_exp.asset.rigid_geometry import (
+    Frame,
+    mesh_solid,
+    primitive,
+    quaternion,
+    rotation_matrix,
+    rounded,
+    single,
+    split_scale,
+)
 
 
 @pytest.fixture
@@ -27,22 +36,6 @@ def test_quaternions_of_matrices_are_mujocos(rng):
         assert quaternion(matrix)[0] >= 0
 
 
-def test_a_map_is_split_into_turn_and_stretch(rng):
-    turn = rotation_matrix(tuple(rng.normal(size=4)))
-    stretch = np.diag([1.0, 2.0, 3.0])
-    found_turn, found_stretch = split_scale(turn @ stretch)
-    np.testing.assert_allclose(found_turn, turn, atol=1e-12)
-    np.testing.assert_allclose(found_stretch, stretch, atol=1e-12)
-
-
-def test_a_mirrored_map_has_a_proper_rotation(rng):
-    turn = rotation_matrix(tuple(rng.normal(size=4)))
-    mirrored = turn @ np.diag([1.0, 2.0, -3.0])
-    found_turn, found_stretch = split_scale(mirrored)
-    assert np.linalg.det(found_turn) == pytest.approx(1.0)
-    np.testing.assert_allclose(found_turn @ found_stretch, mirrored, atol=1e-12)
-
-
 @pytest.mark.parametrize("value", [0.0425, -0.3, 1e-7, 3.0, 1718.8734])
 def test_single_precision_reads_as_it_was_written(value):
     assert single(float(np.float32(value))) == value
@@ -57,3 +50,56 @@ def test_degrees_in_single_precision_become_the_radians_that_were_meant(value):
 def test_rounding_stays_within_single_precision(rng):
     for value in rng.normal(size=200) * 10.0 ** rng.integers(-9, 9, size=200):
         assert abs(rounded(value) - value) <= abs(value) * 2**-23
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 2.0, 3.0), (1.0, 2.0, -3.0)], ids=["plain", "mirrored"])
+def test_a_map_is_split_into_a_proper_rotation_and_a_stretch(rng, stretch):
+    turn = rotation_matrix(tuple(rng.normal(size=4)))
+    found_turn, found_stretch = split_scale(turn @ np.diag(stretch))
+    assert np.linalg.det(found_turn) == pytest.approx(1.0)
+    np.testing.assert_allclose(found_turn @ found_stretch, turn @ np.diag(stretch), atol=1e-12)
+    if stretch[2] > 0:
+        np.testing.assert_allclose(found_turn, turn, atol=1e-12)
+
+
+# ------------------------------------------------------------------ solids
+SHAPES = {
+    "box": (0.1, 0.2, 0.3),
+    "sphere": (0.2,),
+    "ellipsoid": (0.1, 0.2, 0.3),
+    "cylinder": (0.1, 0.3),
+    "capsule": (0.1, 0.3),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_primitives(kind):
+    size = SHAPES[kind]
+    geom = f'<geom type="{kind}" size="{" ".join(map(str, size))}" density="1"/>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body>{geom}</body></worldbody></mujoco>")
+    solid = primitive(kind, size)
+    assert solid.volume == pytest.approx(model.body_mass[1], rel=1e-9)
+    np.testing.assert_allclose(np.sort(np.diag(solid.inertia)), np.sort(model.body_inertia[1]), rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 50.0])
+def test_a_hull_is_the_solid_of_its_points(size):
+    half = np.array([0.1, 0.2, 0.3]) * size
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + size
+    solid, box = mesh_solid(corners, None, "convex"), primitive("box", tuple(half))
+    assert solid.volume == pytest.approx(box.volume, rel=1e-5)
+    np.testing.assert_allclose(solid.center, [size] * 3, rtol=1e-5)
+    np.testing.assert_allclose(solid.inertia, box.inertia, rtol=1e-4, atol=1e-4 * box.inertia.max())
+
+
+def test_points_in_one_plane_have_no_solid():
+    with pytest.raises(ValueError, match=r".*"):
+        mesh_solid(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), None, "convex")
+
+
+def test_a_turned_solid_has_turned_moments():
+    turn = rotation_matrix((np.sqrt(0.5), 0, 0, np.sqrt(0.5)))  # 90° about z
+    solid = primitive("box", (0.1, 0.2, 0.3)).seen_from(Frame(turn, np.array([1.0, 2, 3])))
+    expected = primitive("box", (0.2, 0.1, 0.3))
+    np.testing.assert_allclose(solid.inertia, expected.inertia, atol=1e-12)
+    np.testing.assert_allclose(solid.center, [1, 2, 3])

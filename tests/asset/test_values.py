@@ -65,7 +65,7 @@ def test_colliders_are_those_of_the_model(stock):
 
 def test_a_joint_of_a_urdf_has_what_is_written(tmp_path):
     limit = '<limit lower="-1" upper="2" effort="30" velocity="8"/>'
-    _, done = made(tmp_path, link("a", BOX) + link("b", BOX) + joint("j", "a", "b", "revolute", limit))
+    done = made(tmp_path, link("a", BOX) + link("b", BOX) + joint("j", "a", "b", "revolute", limit))[1]
     item = done.report.values["joints"]["j"]
     assert (item["range"], item["effort"], item["velocity"], item["drive"]) == ([-1, 2], 30, 8, None)
     assert done.report.authored == {item["path"]: {"lower": -1, "upper": 2, "effort": 30, "velocity": 8}}

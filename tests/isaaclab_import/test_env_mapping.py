@@ -73,15 +73,11 @@ def test_values() -> None:
     mapping, agent, report = converted(ENV, AGENT)
     env, robot = mapping.env, mapping.robot
     assert env["sim"] == {"dt": 0.005, "gravity": [0.0, 0.0, -9.81]}
-    assert env["decimation"] == 4
-    assert robot["friction_combine_mode"] == "multiply"
-    assert robot["self_collisions"] is False
+    assert (env["decimation"], robot["friction_combine_mode"], robot["self_collisions"]) == (4, "multiply", False)
     legs, wheels = robot["actuators"]["legs"], robot["actuators"]["wheels"]
     assert legs["_target_"].endswith("DCMotor")
-    assert legs["saturation_effort"] == 4.0
-    assert legs["friction"] == 0.01
-    assert legs["stiffness"] == {".*01": 3.0, ".*02": 2.5}
-    assert legs["velocity_limit"] == 30.0
+    expected = {"saturation_effort": 4.0, "friction": 0.01, "velocity_limit": 30.0}
+    assert expected | {"stiffness": {".*01": 3.0, ".*02": 2.5}} == {key: legs[key] for key in (*expected, "stiffness")}
     assert wheels["effort_limit"] == 9.0
     limits = {name: dof.max_velocity for name, dof in DOFS.items() if name.endswith("03")}
     assert wheels["velocity_limit"] == next(iter(limits.values()))  # from the robot's file
@@ -91,21 +87,15 @@ def test_values() -> None:
     assert noise == {"_target_": "wheelleg_exp.mdp.noise.UniformNoise", "operation": "add", "n_min": -0.2, "n_max": 0.2}
     assert group["terms"]["joint_pos"]["asset_cfg"]["joint_names"] == [".*0[12]"]
     event = env["events"]["default_material"]
-    assert event["static_friction_range"] == [0.9, 0.9]
-    assert event["dynamic_friction_range"] == [0.8, 0.8]
+    assert (event["static_friction_range"], event["dynamic_friction_range"]) == ([0.9, 0.9], [0.8, 0.8])
     assert env["events"]["push"]["interval_range_s"] == [2.0, 3.0]
     assert "interval_range_s" not in env["events"]["reset_base"]
-    assert agent["algorithm"]["gamma"] == 0.98
-    assert agent["actor"]["hidden_dims"] == [32, 16]
-    assert agent["actor"]["distribution_cfg"]["init_std"] == 0.8
-    assert agent["obs_groups"]["critic"] == ["policy"]
+    assert (agent["algorithm"]["gamma"], agent["obs_groups"]["critic"]) == (0.98, ["policy"])
+    assert (agent["actor"]["hidden_dims"], agent["actor"]["distribution_cfg"]["init_std"]) == ([32, 16], 0.8)
     outcomes = {row.key: row.outcome for row in report.rows}
     expected = {"rewards.own": CODE, "scene.cube": DROPPED, "scene.sky_light": NOT_NEEDED, "viewer": NOT_NEEDED}
-    expected |= {
-        "sim.physx": DROPPED,
-        "sim.physics_material": RULE,
-        "scene.robot.actuators.wheels.velocity_limit": ASSUMED,
-    }
+    expected |= {"sim.physx": DROPPED, "sim.physics_material": RULE}
+    expected["scene.robot.actuators.wheels.velocity_limit"] = ASSUMED
     assert {key: outcomes.get(key) for key in expected} == expected
 
 
@@ -142,13 +132,11 @@ def test_what_isaac_lab_3_writes_differently() -> None:
         text = changed(text, key, value)
     mapping, _, report = converted(text, AGENT)
     found, env = mapping.robot, mapping.env
-    assert found["init_state"]["rot"] == [0.0, 1.0, 0.0, 0.0]
-    assert found["base"] == "fixed"
-    assert env["sim"]["iterations"] == 70
-    assert found["self_collisions"] is True
-    assert found["actuators"]["legs"]["velocity_limit"] == 20.0
-    assert set(found["actuators"]["legs"]["effort_limit"].values()) == {2.2}
-    assert found["actuators"]["legs"]["saturation_effort"] == saturation
+    assert (found["init_state"]["rot"], found["base"]) == ([0.0, 1.0, 0.0, 0.0], "fixed")
+    assert (env["sim"]["iterations"], found["self_collisions"]) == (70, True)
+    drives = found["actuators"]["legs"]
+    assert set(drives["effort_limit"].values()) == {2.2}
+    assert (drives["velocity_limit"], drives["saturation_effort"]) == (20.0, saturation)
     assert found["actuators"]["wheels"]["effort_limit"] == 8.0
     assert env["scene"]["sensors"]["contact_forces"]["body_names"] == ["[^/]*"]
     assert env["observations"]["policy"]["terms"]["gravity"]["delay"] == [4, 8]
@@ -168,6 +156,11 @@ def test_other_names() -> None:
     assert pose == {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885, ".*03": 0.0}
 
 
+def with_terrain(generator: dict[str, Any]) -> str:
+    text = changed(ENV, "scene.terrain.terrain_type", "generator")
+    return changed(text, "scene.terrain.terrain_generator", generator)
+
+
 def test_terrain_tiles() -> None:
     tiles = {
         "slope": {"function": "isaaclab.terrains.height_field.hf_terrains:pyramid_sloped_terrain", "proportion": 0.5,
@@ -177,15 +170,10 @@ def test_terrain_tiles() -> None:
         "star": {"function": "isaaclab.terrains.trimesh.mesh_terrains:star_terrain", "proportion": 0.3},
     }  # fmt: skip
     generator = {"size": [8.0, 8.0], "num_rows": 10, "num_cols": 20, "curriculum": True, "sub_terrains": tiles}
-    text = changed(
-        changed(ENV, "scene.terrain.terrain_type", "generator"), "scene.terrain.terrain_generator", generator
-    )
-    mapping, _, report = converted(text, AGENT)
+    mapping, _, report = converted(with_terrain(generator), AGENT)
     made = mapping.env["scene"]["terrain"]["sub_terrains"]
     assert made["slope"]["slope_range"] == pytest.approx([0.0, 0.3805063771])  # atan(0.4)
-    assert made["pit"]["box_height_range"] == [0.05, 0.2]
-    assert made["pit"]["inverted"]
-    assert made["pit"]["double_box"]
+    assert [made["pit"][key] for key in ("box_height_range", "inverted", "double_box")] == [[0.05, 0.2], True, True]
     assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
 
 
@@ -233,10 +221,8 @@ def test_a_group_without_history_overrides_its_terms() -> None:
     text = changed(ENV, "observations.policy.base_ang_vel.history_length", 5)
     terms = converted(text, AGENT)[0].env["observations"]["policy"]["terms"]
     assert terms["base_ang_vel"]["history_length"] == 5
-    terms = converted(changed(text, "observations.policy.history_length", 0), AGENT)[0].env["observations"]["policy"][
-        "terms"
-    ]
-    assert "history_length" not in terms["base_ang_vel"]
+    mapping, _, _ = converted(changed(text, "observations.policy.history_length", 0), AGENT)
+    assert "history_length" not in mapping.env["observations"]["policy"]["terms"]["base_ang_vel"]
 
 
 @pytest.mark.parametrize("key", ["decimation", "scene.robot", "episode_length_s"])
@@ -263,11 +249,10 @@ def test_author_terms(tmp_path: Path) -> None:
     assert terms.target("my_lab.tasks.mdp.rewards:absent") is None
     modules = terms.modules()
     assert set(modules) == {"rewards", "helpers"}
-    assert "unused" not in modules["rewards"]
-    assert "pandas" not in modules["rewards"]
-    assert "FACTOR = 0.5" in modules["rewards"]
-    assert "from wheelleg_exp.isaaclab.managers import SceneEntityCfg" in modules["rewards"]
-    assert "from mine.helpers import squared as power_two" in modules["rewards"]
+    lines = ["FACTOR = 0.5", "from wheelleg_exp.isaaclab.managers import SceneEntityCfg"]
+    lines += ["from mine.helpers import squared as power_two"]
+    assert all(line in modules["rewards"] for line in lines)
+    assert not any(name in modules["rewards"] for name in ("unused", "pandas"))
 
 
 def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:

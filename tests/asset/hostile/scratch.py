@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import resource
 import signal
-import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
+from foreign.trial import state
 from jobs.small import Words, wheelleg
 from pxr import Sdf
 
@@ -20,7 +19,6 @@ from .. import small_urdf, small_usd
 
 CANARY = "only its owner reads this"
 SECONDS = 120  # against hanging alone
-GROWTH = 2**30  # bytes
 GROWTH = 2**30  # bytes
 
 Maker = Callable[[Path], Path]
@@ -40,33 +38,20 @@ class Scratch:
         return self.run("convert", make(self.robot), "-o", self.out / "bot.xml", *words)
 
     def run(self, *words: str | Path) -> Words:
-        before = _listing(self.root)
+        before = state(self.root)
         with _bounded():
             said = wheelleg(*words)
-        after = _listing(self.root)
+        after = state(self.root)
         assert said.status in (EXIT_OK, EXIT_INPUT), said.err
         assert "Traceback" not in said.out + said.err
         assert "\x1b" not in said.out + said.err
         assert {name: after.get(name) for name in before} == before
         new = sorted(after.keys() - before.keys())
         assert all(Path(name).parts[0] == "out" for name in new), new
-        assert said.status == EXIT_OK or not [name for name in new if (self.root / name).is_file()]
-        assert not [name for name in new if CANARY in _text(self.root / name)]
+        files = [self.root / name for name in new if (self.root / name).is_file()]
+        assert said.status == EXIT_OK or not files
+        assert not [path for path in files if CANARY in path.read_text(errors="replace")]
         return said
-
-
-def _text(path: Path) -> str:
-    return path.read_text(errors="replace") if path.is_file() else ""
-
-
-def _listing(root: Path) -> dict[str, tuple[int, int, str]]:
-    found = {}
-    for path in root.rglob("*"):
-        info = path.lstat()
-        small = stat.S_ISREG(info.st_mode) and info.st_size < 2**20
-        content = hashlib.sha256(path.read_bytes()).hexdigest() if small else ""
-        found[str(path.relative_to(root))] = (info.st_mode, 0 if path.is_dir() else info.st_size, content)
-    return found
 
 
 @contextmanager

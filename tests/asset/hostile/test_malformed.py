@@ -304,9 +304,18 @@ def test_polygons_become_fans_without_the_holes(tmp_path):
     assert done.description.meshes[0].faces.tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 4]]
 
 
-def test_a_capsule_without_height_is_a_sphere(tmp_path):
-    model, _ = converted(write(tmp_path, link("a", inside=gprim("Capsule", "double radius = 0.2\ndouble height = 0"))))
-    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_SPHERE)
+@pytest.mark.parametrize(
+    ("inside", "kind"),
+    [
+        (gprim("Capsule", "double radius = 0.2\ndouble height = 0"), mujoco.mjtGeom.mjGEOM_SPHERE),
+        (gprim("Cone", "double height = 1e-300"), mujoco.mjtGeom.mjGEOM_BOX),
+        (gprim("Cone", "double height = 1e-300", apis=""), mujoco.mjtGeom.mjGEOM_BOX),
+        (cube_inside("convexHull").replace("0.1", "0.000002"), mujoco.mjtGeom.mjGEOM_MESH),
+    ],
+)
+def test_a_shape_without_height_or_of_tiny_size_is_one_that_mujoco_builds(tmp_path, inside, kind):
+    model, _ = converted(write(tmp_path, link("a", inside=inside)))
+    assert list(model.geom_type) == [int(kind)]
 
 
 @pytest.mark.parametrize("kind", ["Capsule_1", "Cylinder_1"])
@@ -339,18 +348,6 @@ def test_a_mirrored_ground_is_solid_on_the_same_side(tmp_path):
 def test_a_gprim_that_collides_leaves_its_children_alone(tmp_path):
     _, done = converted(write(tmp_path, link("a", inside=gprim("Cube", 'def Sphere "inner"\n{\n}\n'))))
     assert [geom.kind for geom in done.description.colliders] == ["box"]
-
-
-@pytest.mark.parametrize("apis", ["", "PhysicsCollisionAPI"])
-def test_a_cone_without_height_is_flat(tmp_path, apis):
-    model, _ = converted(write(tmp_path, link("a", inside=gprim("Cone", "double height = 1e-300", apis=apis))))
-    assert model.geom_type[0] == int(mujoco.mjtGeom.mjGEOM_BOX)
-
-
-def test_tiny_and_flat_colliders_become_something_that_mujoco_builds(tmp_path):
-    tiny = cube_inside("convexHull").replace("0.1", "0.000002")
-    model, _ = converted(write(tmp_path, link("a", inside=tiny)))
-    assert model.ngeom == 1
 
 
 def test_a_point_instancer_is_left_out_with_a_warning(tmp_path):

@@ -77,29 +77,25 @@ def test_meshes_that_are_a_link_take_the_links_place(tmp_path: Path) -> None:
     assert len(list((tmp_path / "kept").iterdir())) == 1
 
 
-def test_the_robots_own_meshes_are_not_replaced(scratch: Scratch) -> None:
-    source = robot(scratch.robot, "bot_meshes/part.obj")
+OTHERS = "contains files other than the meshes of 'bot.xml', such as 'mine.obj'"
+KEPT: dict[str, tuple[dict[str, str], str]] = {  # files beside the robot
+    "a mesh of the robot": ({}, "mesh files would overwrite the input 'bot_meshes/part.obj'"),
+    "a mesh of no model": ({"bot_meshes/mine.obj": CANARY}, OTHERS),
+    "a mesh of another model": ({"bot_meshes/mine.obj": CANARY, "bot.xml": "<mujoco/>"}, OTHERS),
+    "a file": ({"bot_meshes": CANARY}, ""),
+}
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scratch, name: str) -> None:
+    files, words = KEPT[name]
+    source = robot(scratch.robot, "part.obj" if files else "bot_meshes/part.obj")
+    for file, text in files.items():
+        (scratch.robot / file).parent.mkdir(exist_ok=True)
+        (scratch.robot / file).write_text(text)
     said = scratch.run("convert", source, "-o", source.with_suffix(".xml"))
     assert said.status == 2
-    assert "mesh files would overwrite the input 'bot_meshes/part.obj'" in said.err
-
-
-@pytest.mark.parametrize("older", ["", "<mujoco/>"], ids=["none", "another"])
-def test_meshes_that_the_older_model_does_not_name_are_not_replaced(scratch: Scratch, older: str) -> None:
-    source, output = robot(scratch.robot), scratch.robot / "bot.xml"
-    (scratch.robot / "bot_meshes").mkdir()
-    (scratch.robot / "bot_meshes" / "mine.obj").write_text(small_urdf.TETRAHEDRON)
-    if older:
-        output.write_text(older)
-    said = scratch.run("convert", source, "-o", output)
-    assert said.status == 2
-    assert "contains files other than the meshes of 'bot.xml', such as 'mine.obj'" in said.err
-
-
-def test_meshes_that_are_a_file_are_not_replaced(scratch: Scratch) -> None:
-    source = robot(scratch.robot)
-    (scratch.robot / "bot_meshes").write_text(CANARY)
-    assert scratch.run("convert", source, "-o", scratch.robot / "bot.xml").status == 2
+    assert words in said.err
 
 
 def test_a_second_conversion_replaces_the_first(tmp_path: Path) -> None:

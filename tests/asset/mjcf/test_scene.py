@@ -38,15 +38,11 @@ def test_the_stock_robot_comes_to_rest_on_the_floor(stock, key):
     assert data.ncon > 0
 
 
-def test_it_begins_above_the_floor(stock):
+def test_it_begins_above_the_floor_and_a_keyframe_puts_it_there(stock):
     data = mujoco.MjData(stock)
     mujoco.mj_forward(stock, data)
     assert data.ncon == 0
     assert -0.05 < stock.geom("floor").pos[2] - data.geom("l_wheel_link_cylinder").xpos[2] < -0.02
-
-
-def test_a_keyframe_puts_the_robot_on_the_floor(stock):
-    data = mujoco.MjData(stock)
     mujoco.mj_resetDataKeyframe(stock, data, stock.key("stand").id)
     mujoco.mj_forward(stock, data)
     wheel = data.geom("l_wheel_link_cylinder").xpos[2] - stock.geom("l_wheel_link_cylinder").size[0]

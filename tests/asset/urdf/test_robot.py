@@ -26,7 +26,7 @@ from ..small_urdf import (
     tensor,
     write,
 )
-from ..warned import warned
+from ..small_usd import warned
 
 
 # ---------------------------------------------------------------- frames
@@ -79,16 +79,11 @@ def test_a_base_floats_by_default_and_the_report_notes_it(tmp_path):
     ],
 )
 def test_a_root_link_named_world_is_the_world(tmp_path, kind, base, expected, freedoms):
-    robot = '<link name="world"/>\n' + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
+    robot = f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", kind, '<origin xyz="0 0 2"/>')
     model, conversion = made(tmp_path, robot, base)
     assert (conversion.report.base, model.nv, model.nbody) == (expected, freedoms, 2)
+    assert (len(conversion.description.static_geoms), list(model.geom_bodyid)) == (1, [0])  # ground, not robot
     np.testing.assert_allclose(at_zero(model).body("a").xpos, [0, 0, 2])
-
-
-def test_shapes_of_the_world_are_ground_and_not_robot(tmp_path):
-    robot = f'<link name="world">{BOX}</link>' + link("a") + joint("j", "world", "a", "fixed")
-    model, conversion = made(tmp_path, robot)
-    assert (len(conversion.description.static_geoms), [int(body) for body in model.geom_bodyid]) == (1, [0])
 
 
 # ---------------------------------------------------------------- joints
@@ -139,13 +134,6 @@ def test_limits_mean_what_urdf_means_by_them(tmp_path, kind, limit, expected, wa
     assert any("limits" in text for text in conversion.report.warnings) is warned
 
 
-def test_a_hinge_without_limit_is_unlimited_and_warned_about(tmp_path):
-    model, conversion = made(tmp_path, pair())
-    assert not model.jnt_limited[1]
-    (warning,) = warned(conversion)
-    assert warning == "/robot/joint[j]: no <limit> means no limits here; other simulators lock such a joint"
-
-
 def test_efforts_and_speeds_of_zero_mean_not_given(tmp_path):
     model, conversion = made(tmp_path, pair("continuous", '<limit effort="0" velocity="0"/>'))
     assert not model.jnt_actfrclimited[1]
@@ -177,12 +165,6 @@ def test_mimic_joints_follow_with_factor_and_offset(tmp_path):
     assert conversion.description.couplings[0].coefficients == (0.25, -2, 0, 0, 0)
     assert (model.joint(model.eq_obj1id[0]).name, model.joint(model.eq_obj2id[0]).name) == ("k", "j")
     np.testing.assert_array_equal(model.eq_data[0, :5], [0.25, -2, 0, 0, 0])
-
-
-def test_a_mimic_joint_without_leader_is_left_out_with_a_hint(tmp_path):
-    _, conversion = made(tmp_path, pair("continuous", '<mimic joint="jj"/>'))
-    (warning,) = warned(conversion)
-    assert warning == "/robot/joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?"
 
 
 def test_orders_of_joints_are_breadth_first_and_depth_first(tmp_path):
@@ -291,16 +273,6 @@ def test_the_first_link_with_mass_is_the_root(tmp_path, links):
     assert assumed(conversion, "no mass: the first link with mass") == [("/robot/link[footprint]", "body")]
 
 
-def test_a_moving_link_without_mass_weighs_one_kilogram_as_in_physx(tmp_path):
-    robot = link("a") + '<link name="b"/>' + link("c")
-    robot += joint("j", "a", "b", "continuous") + joint("k", "b", "c", "continuous")
-    model, conversion = made(tmp_path, robot)
-    assert model.body("b").mass[0] == 1
-    np.testing.assert_allclose(model.body("b").inertia, 0.4 * 0.1**2)
-    reason = "the link moves, and neither it nor links welded to it have a mass"
-    assert warned(conversion) == (f"/robot/link[b]: {reason}; the model's mass is 1 kg, as in PhysX",)
-
-
 def test_a_link_without_inertial_weighs_what_its_colliders_displace(tmp_path):
     shapes = '<collision><origin xyz="0 0 1"/><geometry><box size="0.1 0.2 0.3"/></geometry></collision>'
     model, _ = made(tmp_path, link("a", shapes, inertial=""))
@@ -324,11 +296,26 @@ def test_inertia_that_is_zero_but_for_rounding_is_not_given(tmp_path, written):
     np.testing.assert_allclose(model.body("a").inertia, 0.4 * 2 * 0.01)
 
 
-def test_impossible_moments_of_inertia_are_reduced_and_reported(tmp_path):
-    model, conversion = made(tmp_path, link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")))
-    np.testing.assert_allclose(model.body("a").inertia, [1, 1, 2])
-    (warning,) = warned(conversion)
-    assert warning == "/robot/link[a]: no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)"
+MOVING = link("a") + '<link name="b"/>' + link("c") + joint("j", "a", "b", "continuous")
+MOVING += joint("k", "b", "c", "continuous")
+NO_MASS = "the link moves, and neither it nor links welded to it have a mass; the model's mass is 1 kg, as in PhysX"
+IMPOSSIBLE = "no body has the moments of inertia (1, 1, 3); the model has (1, 1, 2)"
+
+
+@pytest.mark.parametrize(
+    ("robot", "warning"),
+    [
+        (pair(), "joint[j]: no <limit> means no limits here; other simulators lock such a joint"),
+        (
+            pair("continuous", '<mimic joint="jj"/>'),
+            "joint[j]/mimic: the coupling was left out: there is no joint 'jj'; was 'j' meant?",
+        ),
+        (link("a", inertial=inertial(1, tensor="1 1 3 0 0 0")), f"link[a]: {IMPOSSIBLE}"),
+        (MOVING, f"link[b]: {NO_MASS}"),
+    ],
+)
+def test_what_is_assumed_of_a_defect_is_warned_about(tmp_path, robot, warning):
+    assert warned(made(tmp_path, robot)[1]) == (f"/robot/{warning}",)
 
 
 # ---------------------------------------------------------------- the whole

@@ -10,7 +10,7 @@ import pytest
 from wheelleg_exp.asset import convert, source_digest
 
 from ..small_urdf import assumed, at_zero, inertial, left, link, made, write
-from ..warned import warned
+from ..small_usd import warned
 
 # The tetrahedron with the corners 0, x, y, z has the volume 1/6, and its faces point outwards.
 CORNERS = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]

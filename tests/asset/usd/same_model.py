@@ -86,9 +86,7 @@ class Pair:
                 low, high = model.jnt_range[index] if model.jnt_limited[index] else (-1.0, 1.0)
                 qpos[at] = random.uniform(low, high)
         ranges = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0])
-        self.state(qpos, random.normal(size=model.nv), random.uniform(ranges[:, 0], ranges[:, 1]))
-
-    def state(self, qpos: np.ndarray, qvel: np.ndarray, ctrl: np.ndarray) -> None:
+        qvel, ctrl = random.normal(size=model.nv), random.uniform(ranges[:, 0], ranges[:, 1])
         first, second = self.data
         mujoco.mj_resetData(self.original, first)
         mujoco.mj_resetData(self.ours, second)
@@ -103,8 +101,6 @@ class Pair:
         return theirs, ours[np.ix_(self.velocities, self.velocities)]
 
     def tensors(self) -> tuple[np.ndarray, np.ndarray]:
-        return _tensors(self.original, self.bodies[0]), _tensors(self.ours, self.bodies[1])
-
-
-def _tensors(model: mujoco.MjModel, bodies: np.ndarray) -> np.ndarray:
-    return np.array([tensor(model, body)[np.triu_indices(3)] for body in bodies])
+        pairs = zip((self.original, self.ours), self.bodies, strict=True)
+        theirs, ours = (np.array([tensor(model, body) for body in bodies]) for model, bodies in pairs)
+        return theirs, ours

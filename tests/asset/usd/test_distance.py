@@ -17,27 +17,27 @@ def roped(folder, text: str, *, apis: str = "", header: str = SI, world: bool = 
     return converted(write(folder, link("a") + link("b", "(4, 0, 0)") + joint, header=header))
 
 
-def length(model: mujoco.MjModel) -> float:
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return float(data.ten_length[0])
-
-
 @pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [(1, 5, (1, 5)), (-1, 5, (0, 5)), (2, -1, (2, 1e6)), (3, 3, (3 * (1 - 1e-4), 3 * (1 + 1e-4)))],
+    ("low", "high", "header", "expected"),
+    [
+        (1, 5, SI, (1, 5)),
+        (-1, 5, SI, (0, 5)),
+        (2, -1, SI, (2, 1e6)),
+        (3, 3, SI, (3 * (1 - 1e-4), 3 * (1 + 1e-4))),
+        (0, 50, CM, (0, 0.5)),
+    ],
 )
-def test_the_distances_limit_a_tendon_between_joint_frames_of_bodies_that_do_not_touch(tmp_path, low, high, expected):
-    model, _ = roped(tmp_path, f"float physics:minDistance = {low}\n float physics:maxDistance = {high}")
+def test_the_distances_limit_a_tendon_between_joint_frames_of_bodies_that_do_not_touch(
+    tmp_path, low, high, header, expected
+):
+    text = f"float physics:minDistance = {low}\n float physics:maxDistance = {high}"
+    model, _ = roped(tmp_path, text, header=header)
     assert (model.ntendon, model.nv, model.nexclude) == (1, 12, 1)
     assert model.tendon_limited[0]
     np.testing.assert_allclose(model.tendon_range[0], expected, rtol=1e-9)
-    assert length(model) == pytest.approx(np.hypot(4 - 1, 2))
-
-
-def test_distances_are_stage_lengths(tmp_path):
-    model, _ = roped(tmp_path, "float physics:maxDistance = 50", header=CM)
-    np.testing.assert_allclose(model.tendon_range[0], [0, 0.5], rtol=1e-6)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ten_length[0] == pytest.approx(np.hypot(4 - 1, 2) * (1 if header == SI else 0.01))
 
 
 def test_a_rope_to_the_world_starts_there(tmp_path):

@@ -41,22 +41,11 @@ def test_angular_gains_are_per_degree(tmp_path, kp, kd, gain, bias):
     np.testing.assert_allclose(motor.forcerange, [-7, 7])
 
 
-def test_linear_gains_are_per_length(tmp_path):
-    gains = drive("linear", stiffness=2, damping=0.5)
-    model, _ = two_links(tmp_path, gains, apis="PhysicsDriveAPI:linear", kind="Prismatic")
-    np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2, -0.5])
-
-
-@pytest.mark.parametrize("force", ["0", "inf", "3.4028235e38"])
-def test_an_infinite_or_zero_effort_limit_is_no_limit(tmp_path, force):
-    model, _ = driven(tmp_path, drive(stiffness=1, maxForce=force))
+@pytest.mark.parametrize("force", ["0", "-5", "inf", "3.4028235e38"])
+def test_an_infinite_or_not_positive_effort_limit_is_no_limit(tmp_path, force):
+    model, done = driven(tmp_path, drive(stiffness=1, maxForce=force))
     assert not model.actuator_forcelimited[0]
-
-
-def test_acceleration_gains_are_times_the_inertia_that_the_drive_meets(tmp_path):
-    text = 'uniform token drive:angular:physics:type = "acceleration"\n uniform token physics:axis = "X"'
-    model, _ = driven(tmp_path, drive(stiffness=1) + text, base="fixed")
-    assert model.actuator("j").gainprm[0] == pytest.approx(DEGREES * 0.1, rel=1e-6)  # kg m²
+    assert any("maxForce" in item.rule for item in done.report.assumptions) is (float(force) <= 0)
 
 
 def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
@@ -67,18 +56,16 @@ def test_targets_and_saved_state_become_the_home_keyframe(tmp_path):
     assert np.degrees([key.qpos[-1], key.qvel[-1], key.ctrl[0]]) == pytest.approx([30, 60, 90])
 
 
-def test_a_saved_state_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    text = limits(-10, 10) + "float state:angular:physics:position = 30"
-    model, done = two_links(tmp_path, text, apis="PhysicsJointStateAPI:angular")
-    assert model.key("home").qpos[-1] == pytest.approx(math.radians(10))
-    assert any("outside the limits" in item.rule for item in done.report.assumptions)
+STATE = "float state:angular:physics:position = 30"
 
 
-def test_attributes_of_schemas_that_usd_does_not_know_are_read(tmp_path):
-    text = "float physxJoint:armature = 0.25\n float physxJoint:maxJointVelocity = 180"
-    model, done = two_links(tmp_path, text, apis="PhysxJointAPI")
-    assert model.dof_armature[6] == pytest.approx(0.25)
-    assert done.report.velocity_limits["j"] == pytest.approx(math.pi, rel=1e-6)
+@pytest.mark.parametrize(("text", "rule"), [(STATE, "outside the limits"), (drive(targetPosition=45), "target")])
+def test_a_saved_state_or_target_beyond_the_limits_is_clamped_and_reported(tmp_path, text, rule):
+    text += "\n" + limits(-10, 10) + drive(stiffness=1)
+    model, done = two_links(tmp_path, text, apis="PhysicsDriveAPI:angular PhysicsJointStateAPI:angular")
+    key = model.key("home")
+    assert (key.qpos[-1] if rule != "target" else key.ctrl[0]) == pytest.approx(math.radians(10), rel=1e-6)
+    assert any(rule in item.rule and "clamped" in item.rule for item in done.report.assumptions)
 
 
 def test_newton_damping_is_per_degree_and_mujocos_is_per_radian(tmp_path):
@@ -89,15 +76,18 @@ def test_newton_damping_is_per_degree_and_mujocos_is_per_radian(tmp_path):
 
 # ------------------------------------------------------------------ limits
 UNLIMITED = [("-inf", "inf"), ("-57295776", "57295776"), ("-99999990", "99999990"), ("-1e38", "1e38")]
-UNLIMITED += [("-3.4e38", "3.4e38"), ("0", "0"), ("-10", "inf"), None]
+UNLIMITED += [("-3.4e38", "3.4e38"), ("0", "0"), ("-10", "inf"), ("", "")]
+SLIDES = [("-inf", "inf"), ("-1e30", "1e30"), ("0", "0"), ("0.3", "0.3")]
 
 
-@pytest.mark.parametrize("ends", UNLIMITED)
-def test_a_hinge_without_real_limits_is_unlimited(tmp_path, ends):
-    model, done = two_links(tmp_path, limits(*ends) if ends else "")
+@pytest.mark.parametrize(
+    ("kind", "ends"), [*(("Revolute", ends) for ends in UNLIMITED), *(("Prismatic", ends) for ends in SLIDES)]
+)
+def test_a_joint_without_real_limits_is_unlimited(tmp_path, kind, ends):
+    model, done = two_links(tmp_path, limits(*ends) if any(ends) else "", kind=kind)
     assert not model.jnt_limited[1]
     locks = any("/bot/j" in warning and "PhysX locks" in warning for warning in done.report.warnings)
-    assert locks is (ends == ("0", "0"))
+    assert locks is (ends in {("0", "0"), ("0.3", "0.3")})
 
 
 def test_a_slide_may_be_limited_on_one_side(tmp_path):
@@ -113,13 +103,6 @@ def test_limits_the_wrong_way_round_lock_the_joint_as_in_physx(tmp_path, kind):
     assert model.nv == 7
     np.testing.assert_allclose(model.jnt_range[1], [-1e-4, 1e-4])
     assert any("/bot/j" in warning and "locked" in warning for warning in done.report.warnings)
-
-
-@pytest.mark.parametrize(("low", "high"), [("-inf", "inf"), ("-1e30", "1e30"), ("0", "0"), ("0.3", "0.3")])
-def test_a_slide_without_real_limits_is_unlimited(tmp_path, low, high):
-    model, done = two_links(tmp_path, limits(low, high), kind="Prismatic")
-    assert not model.jnt_limited[1]
-    assert any("PhysX locks" in warning for warning in done.report.warnings) is (low == high)
 
 
 def test_a_cone_that_is_closed_leaves_a_hinge_about_its_axis(tmp_path):
@@ -144,16 +127,6 @@ def test_the_smaller_angle_of_a_cone_limits_a_ball(tmp_path, angles, limit):
 
 
 # ------------------------------------------------------------------ targets and efforts
-@pytest.mark.parametrize("force", ["0", "-5"])
-def test_an_effort_limit_that_is_not_positive_is_reported(tmp_path, force):
-    _, done = driven(tmp_path, drive(stiffness=1, maxForce=force))
-    assert any("maxForce" in item.rule for item in done.report.assumptions)
-
-
-def test_a_target_beyond_the_limits_is_clamped_and_reported(tmp_path):
-    model, done = driven(tmp_path, limits(-10, 10) + drive(stiffness=1, targetPosition=45))
-    assert model.key("home").ctrl[0] == pytest.approx(math.radians(10), rel=1e-6)
-    assert any("target" in item.rule and "clamped" in item.rule for item in done.report.assumptions)
 
 
 def test_a_target_velocity_is_the_control_of_a_velocity_drive(tmp_path):
@@ -190,12 +163,12 @@ def test_a_hinge_in_centimetres_and_grams(tmp_path):
 
 def test_a_slide_in_centimetres_and_grams(tmp_path):
     """Forces of the USD file are multiplied by kpu·mpu = 1e-5, linear gains and masses by kpu = 1e-3."""
-    text = drive("linear", stiffness=2000, maxForce=3e5, targetPosition=5) + limits(-20, 30)
+    text = drive("linear", stiffness=2000, damping=500, maxForce=3e5, targetPosition=5) + limits(-20, 30)
     text += "float physxJoint:armature = 500\n float newton:damping = 700\n float physxJoint:maxJointVelocity = 250\n"
     text += "float state:linear:physics:position = 10\n float state:linear:physics:velocity = 40"
     joint = hinge("j", "a", "b", kind="Prismatic", apis="PhysicsDriveAPI:linear PhysxJointAPI", text=text)
     model, done = converted(write(tmp_path, link("a") + link("b") + joint, header=CM))
-    np.testing.assert_allclose(model.actuator("j").biasprm[:2], [0, -2], rtol=1e-6)
+    np.testing.assert_allclose(model.actuator("j").biasprm[:3], [0, -2, -0.5], rtol=1e-6)
     np.testing.assert_allclose(model.actuator("j").forcerange, [-3, 3], rtol=1e-6)
     np.testing.assert_allclose(model.jnt_range[1], [-0.2, 0.3], rtol=1e-6)
     assert (model.dof_armature[6], model.dof_damping[6]) == (pytest.approx(0.5), pytest.approx(0.7))
@@ -208,24 +181,19 @@ def test_a_slide_in_centimetres_and_grams(tmp_path):
 ARMATURES = ("mjc:armature", "newton:armature", "physxJointAxis:angular:armature", "physxJoint:armature")
 
 
-@pytest.mark.parametrize("first", range(4))
-def test_the_first_schema_with_an_armature_wins_and_the_others_are_named(tmp_path, first):
-    names = ARMATURES[first:]
-    model, done = two_links(tmp_path, "\n".join(f"float {name} = {index + 1}" for index, name in enumerate(names)))
-    assert model.dof_armature[6] == 1
-    left = {item.name: item.reason for item in done.report.left_out}
-    assert all(names[0] in left[name] for name in names[1:])
+HIGHEST = ("newton:velocityLimit", "physxJointAxis:angular:maxJointVelocity", "physxJoint:maxJointVelocity")
 
 
-VELOCITIES = ("newton:velocityLimit", "physxJointAxis:angular:maxJointVelocity", "physxJoint:maxJointVelocity")
-
-
-@pytest.mark.parametrize("first", range(3))
-def test_the_velocity_limit_follows_the_same_precedence_as_the_armature(tmp_path, first):
-    names = VELOCITIES[first:]
+@pytest.mark.parametrize(
+    "names", [*(ARMATURES[first:] for first in range(4)), *(HIGHEST[first:] for first in range(3))]
+)
+def test_the_first_schema_with_an_armature_or_velocity_limit_wins_and_the_others_are_named(tmp_path, names):
     text = "\n".join(f"float {name} = {90 * (index + 1)}" for index, name in enumerate(names))
-    _, done = two_links(tmp_path, text)
-    assert done.report.velocity_limits["j"] == pytest.approx(math.pi / 2, rel=1e-6)
+    model, done = two_links(tmp_path, text)
+    if names[-1] == HIGHEST[-1]:
+        assert done.report.velocity_limits["j"] == pytest.approx(math.pi / 2, rel=1e-6)
+    else:
+        assert model.dof_armature[6] == 90
     left = {item.name: item.reason for item in done.report.left_out}
     assert all(names[0] in left[name] for name in names[1:])
 
@@ -258,16 +226,6 @@ def test_equal_values_of_two_schemas_are_both_read(tmp_path):
 def test_static_friction_is_used_if_no_dynamic_friction_is_given(tmp_path):
     model, _ = two_links(tmp_path, "float physxJointAxis:angular:staticFrictionEffort = 0.6")
     assert model.dof_frictionloss[6] == pytest.approx(0.6)
-
-
-NO_PLACE = ["physxJoint:jointFriction", "physxLimit:angular:stiffness", "newton:limitStiffness", "newton:limitDamping"]
-
-
-@pytest.mark.parametrize("name", NO_PLACE)
-def test_attributes_without_a_place_in_mujoco_are_named(tmp_path, name):
-    model, done = two_links(tmp_path, f"float {name} = 0.25")
-    assert name in {item.name for item in done.report.left_out}
-    assert model.dof_frictionloss[6] == 0
 
 
 def test_limits_targets_and_gains_of_a_reversed_joint_stay_as_authored(tmp_path):

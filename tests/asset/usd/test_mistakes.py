@@ -20,12 +20,6 @@ def leftovers(folder):
     return sorted(p.name for p in folder.rglob("*"))
 
 
-def test_a_missing_file_is_refused(tmp_path):
-    error = told(tmp_path / "absent.usda", tmp_path / "out.xml")
-    assert "there is no file" in str(error)
-    assert "absent.usda" in str(error)
-
-
 BODILESS = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" {{\ndef Xform "thing"{}\n{{\n}}\n}}\n'
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from wheelleg_exp.errors import AssetError
 
-from ..small_usd import converted, hinge, link, two_links, write
+from ..small_usd import converted, hinge, link, write
 
 SITE = """
         def Sphere "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
@@ -67,22 +67,6 @@ def test_parameters_and_ranges_are_those_of_the_file(tmp_path):
     np.testing.assert_allclose([motor.ctrlrange, motor.forcerange], [[-0.8, 0.9], [-23, 24]])
 
 
-def test_an_end_of_a_range_that_is_not_authored_is_zero(tmp_path):
-    model, _ = pair(tmp_path, "uniform double mjc:ctrlRange:max = 255")
-    np.testing.assert_allclose(model.actuator("motor").ctrlrange, [0, 255])
-    assert model.actuator_ctrllimited[0]
-
-
-def test_a_range_that_is_switched_off_does_not_limit(tmp_path):
-    model, _ = pair(tmp_path, 'uniform token mjc:ctrlLimited = "false"\nuniform double mjc:ctrlRange:max = 2')
-    assert not model.actuator_ctrllimited[0]
-
-
-def test_a_gain_of_zero_is_zero(tmp_path):
-    model, _ = pair(tmp_path, "uniform double[] mjc:gainPrm = [0, 0, 0]")
-    assert model.actuator_gainprm[0][0] == 0
-
-
 @pytest.mark.parametrize(
     ("text", "dynamics", "states"),
     [
@@ -96,26 +80,41 @@ def test_dynamics_have_their_states(tmp_path, text, dynamics, states):
     assert (model.actuator_dyntype[0], model.na) == (int(getattr(mujoco.mjtDyn, f"mjDYN_{dynamics}")), states)
 
 
-def test_activation_range_early_flag_and_length_range(tmp_path):
-    text = """uniform token mjc:dynType = "filter"; uniform bool mjc:actEarly = 1
-        uniform double mjc:actRange:min = -2; uniform double mjc:actRange:max = 3
-        uniform double mjc:lengthRange:min = 0.1; uniform double mjc:lengthRange:max = 0.4"""
-    model, _ = pair(tmp_path, text)
-    np.testing.assert_allclose(model.actuator_actrange[0], [-2, 3])
-    np.testing.assert_allclose(model.actuator_lengthrange[0], [0.1, 0.4])
-    assert (model.actuator_actearly[0], model.actuator_actlimited[0]) == (1, 1)
+UPPER = "uniform double mjc:ctrlRange:max = 2"
+ACTIVE = """uniform token mjc:dynType = "filter"; uniform bool mjc:actEarly = 1
+    uniform double mjc:actRange:min = -2; uniform double mjc:actRange:max = 3
+    uniform double mjc:lengthRange:min = 0.1; uniform double mjc:lengthRange:max = 0.4"""
+ACTIVATION = {"actrange": [-2, 3], "lengthrange": [0.1, 0.4], "actearly": 1, "actlimited": 1}
 
 
-def test_the_range_of_controls_may_follow_the_joints(tmp_path):
-    text = """uniform double mjc:inheritRange = 0.5; uniform token mjc:biasType = "affine"
-        uniform double[] mjc:gainPrm = [10]; uniform double[] mjc:biasPrm = [0, -10, 0]"""
-    model, _ = pair(tmp_path, text, joint="float physics:lowerLimit = -90\n float physics:upperLimit = 90")
-    np.testing.assert_allclose(model.actuator("motor").ctrlrange, [-np.pi / 4, np.pi / 4], rtol=1e-6)
+@pytest.mark.parametrize(
+    ("text", "options", "expected"),
+    [
+        (UPPER, {}, {"ctrlrange": [0, 2], "ctrllimited": 1}),
+        (f'uniform token mjc:ctrlLimited = "false"\n{UPPER}', {}, {"ctrllimited": 0}),
+        ("uniform double[] mjc:gainPrm = [0, 0, 0]", {}, {"gainprm": [0] * 10}),
+        (ACTIVE, {}, ACTIVATION),
+        (
+            "uniform bool mjc:jointInParent = 1",
+            {"kind": "Spherical"},
+            {"trntype": int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)},
+        ),
+        (UPPER, {"target": "b"}, {"trntype": int(mujoco.mjtTrn.mjTRN_BODY), "trnid": [2, -1]}),
+    ],
+    ids=["one end of a range", "a range that is off", "no gain", "activation", "in the parent's frame", "adhesion"],
+)
+def test_attributes_become_those_of_mujoco(tmp_path, text, options, expected):
+    model, _ = pair(tmp_path, text, **options)
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(model, f"actuator_{name}")[0], value, err_msg=name)
 
 
-def test_a_ball_may_be_driven_in_its_parents_frame(tmp_path):
-    model, _ = pair(tmp_path, "uniform bool mjc:jointInParent = 1", kind="Spherical")
-    assert model.actuator_trntype[0] == int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+@pytest.mark.parametrize(("target", "text"), [("gone", ""), ("j", 'uniform token mjc:biasType = "magic"')])
+def test_an_actuator_on_nothing_or_of_an_unknown_type_is_named_and_warned_about(tmp_path, target, text):
+    model, done = pair(tmp_path, text, target=target)
+    assert model.nu == 0
+    assert any("/bot/motor" in warning for warning in done.report.warnings)
+    assert "MjcActuator" in {item.name for item in done.report.left_out} or "magic" in str(done.report.warnings)
 
 
 REFERENCE = "rel mjc:refSite = </bot/a/here>\n uniform double[] mjc:gear = [0, 0, 1, 0, 0, 0]"
@@ -128,25 +127,6 @@ def test_a_site_is_driven_relative_to_another_site_or_by_a_crank(tmp_path, text,
     assert model.actuator_trntype[0] == int(getattr(mujoco.mjtTrn, f"mjTRN_{kind}"))
     assert list(model.actuator_trnid[0]) == [model.site("tip").id, model.site("here").id]
     assert model.actuator_cranklength[0] == crank
-
-
-def test_adhesion_acts_on_a_body(tmp_path):
-    model, _ = pair(tmp_path, "uniform double mjc:ctrlRange:max = 1", target="b")
-    kind = int(mujoco.mjtTrn.mjTRN_BODY)
-    assert (model.actuator_trntype[0], model.actuator_trnid[0][0]) == (kind, model.body("b").id)
-
-
-def test_an_actuator_on_nothing_is_named_and_warned_about(tmp_path):
-    model, done = converted(write(tmp_path, link("a") + actuator("gone")))
-    assert model.nu == 0
-    assert any("/bot/motor" in warning for warning in done.report.warnings)
-    assert "MjcActuator" in {item.name for item in done.report.left_out}
-
-
-def test_a_type_that_mujoco_does_not_know_is_named_and_warned_about(tmp_path):
-    model, done = pair(tmp_path, 'uniform token mjc:biasType = "magic"')
-    assert model.nu == 0
-    assert any("magic" in warning for warning in done.report.warnings)
 
 
 DRIVEN = hinge("j", "a", "b", apis="PhysicsDriveAPI:angular", text="float drive:angular:physics:stiffness = 5")
@@ -165,11 +145,6 @@ def test_an_actuator_called_like_a_driven_joint_gets_another_name(tmp_path):
     assert [model.actuator(i).name for i in range(model.nu)] == ["j", "j_2"]
 
 
-def test_a_drive_without_an_actuator_stays(tmp_path):
-    model, _ = two_links(tmp_path, "float drive:angular:physics:stiffness = 5", apis="PhysicsDriveAPI:angular")
-    assert model.nu == 1
-
-
 LOWER = "float physics:lowerLimit = -30\n"
 
 
@@ -178,7 +153,8 @@ LOWER = "float physics:lowerLimit = -30\n"
 )
 def test_controls_inherit_a_range_only_where_there_is_one(tmp_path, limits, inherited):
     gains = "uniform double[] mjc:gainPrm = [5]\n uniform double[] mjc:biasPrm = [0, -5, 0]\n"
-    motor = actuator("j", gains + 'double mjc:inheritRange = 1\n uniform token mjc:biasType = "affine"')
+    motor = actuator("j", gains + 'double mjc:inheritRange = 0.5\n uniform token mjc:biasType = "affine"')
     model, done = converted(write(tmp_path, link("a") + link("b") + hinge("j", "a", "b", text=limits) + motor))
-    assert bool(model.actuator("motor").ctrllimited[0]) is inherited
+    expected = np.radians([-12.5, 22.5] if inherited else [0, 0])
+    np.testing.assert_allclose(model.actuator("motor").ctrlrange, expected, rtol=1e-6)
     assert any("inheritRange" in warning for warning in done.report.warnings) is not inherited

@@ -20,14 +20,6 @@ def test_ref_is_the_coordinate_of_the_authored_pose(tmp_path):
     assert model.key("home").qpos[-1] == pytest.approx(math.radians(30))
 
 
-def test_a_joint_that_follows_another_is_an_equality(tmp_path):
-    follow = "rel newton:mimicJoint = </bot/ab>\n float newton:mimicCoef0 = 90\n float newton:mimicCoef1 = -2"
-    model, _ = converted(write(tmp_path, FOLLOWED + hinge("bc", "b", "c", apis="NewtonMimicAPI", text=follow)))
-    assert list(model.eq_type) == [mujoco.mjtEq.mjEQ_JOINT]
-    assert (model.eq_obj1id[0], model.eq_obj2id[0]) == (model.joint("bc").id, model.joint("ab").id)
-    np.testing.assert_allclose(model.eq_data[0][:5], [math.pi / 2, -2, 0, 0, 0], rtol=1e-6)
-
-
 @pytest.mark.parametrize(("adds", "dofs"), [(True, 2), (False, 1)])
 def test_two_joints_between_two_bodies_add_up_only_if_the_file_allows_it(tmp_path, adds, dofs):
     switch = "bool newton:jointsAddMobility = 1" if adds else ""
@@ -83,11 +75,8 @@ def test_angles_of_mujocos_schemas_are_in_the_unit_of_its_compiler(tmp_path, uni
     joint = "double mjc:ref = 0.5\n double mjc:springref = 0.5\n double mjc:stiffness = 2"
     model = with_scene(tmp_path, text, hinge("j", "a", "b", text=joint))
     np.testing.assert_allclose([model.qpos0[-1], model.qpos_spring[-1]], [expected, expected], rtol=1e-6)
-
-
-def test_the_rest_position_of_a_slides_spring_is_in_metres(tmp_path):
-    model, _ = two_links(tmp_path, "double mjc:springref = 0.5\n double mjc:stiffness = 2", kind="Prismatic")
-    assert model.qpos_spring[-1] == 0.5
+    model, _ = two_links(tmp_path, joint, kind="Prismatic")
+    assert model.qpos_spring[-1] == 0.5  # metres
 
 
 def test_springdamper_is_made_of_the_inertia_that_the_joint_meets(tmp_path):
@@ -104,20 +93,29 @@ def test_gravity_may_be_lifted_in_part(tmp_path):
 
 
 # ------------------------------------------------------------------ couplings and closures
-def test_a_coupling_may_be_a_polynomial_and_switched_off(tmp_path):
-    follow = """rel newton:mimicJoint = </bot/ab>; bool newton:mimicEnabled = 0; uniform double mjc:coef2 = 3
-        uniform double mjc:coef4 = 5; uniform double[] mjc:solref = [0.01, 1]"""
-    follower = hinge("bc", "b", "c", apis="NewtonMimicAPI MjcEqualityJointAPI", text=follow)
-    model, _ = converted(write(tmp_path, FOLLOWED + follower))
-    np.testing.assert_allclose(model.eq_data[0][:5], [0, 1, 3, 0, 5])
-    np.testing.assert_allclose(model.eq_solref[0], [0.01, 1])
-    assert not model.eq_active0[0]
 
 
-def test_mujocos_offset_is_in_radians_and_wins(tmp_path):
-    follow = "rel mjc:target = </bot/ab>\n float newton:mimicCoef0 = 90\n uniform double mjc:coef0 = 0.25"
-    model, _ = converted(write(tmp_path, FOLLOWED + hinge("bc", "b", "c", apis="MjcEqualityJointAPI", text=follow)))
-    assert model.eq_data[0][0] == 0.25
+PLAIN = "rel newton:mimicJoint = </bot/ab>\n float newton:mimicCoef0 = 90\n float newton:mimicCoef1 = -2"
+RADIANS = "rel mjc:target = </bot/ab>\n float newton:mimicCoef0 = 90\n uniform double mjc:coef0 = 0.25"
+POLYNOMIAL = """rel newton:mimicJoint = </bot/ab>; bool newton:mimicEnabled = 0; uniform double mjc:coef2 = 3
+    uniform double mjc:coef4 = 5; uniform double[] mjc:solref = [0.01, 1]"""
+
+
+@pytest.mark.parametrize(
+    ("apis", "text", "polynomial"),
+    [
+        ("NewtonMimicAPI", PLAIN, [math.pi / 2, -2, 0, 0, 0]),
+        ("MjcEqualityJointAPI", RADIANS, [0.25, 1, 0, 0, 0]),
+        ("NewtonMimicAPI MjcEqualityJointAPI", POLYNOMIAL, [0, 1, 3, 0, 5]),
+    ],
+)
+def test_a_joint_that_follows_another_is_an_equality(tmp_path, apis, text, polynomial):
+    model, _ = converted(write(tmp_path, FOLLOWED + hinge("bc", "b", "c", apis=apis, text=text)))
+    assert list(model.eq_type) == [mujoco.mjtEq.mjEQ_JOINT]
+    assert (model.eq_obj1id[0], model.eq_obj2id[0]) == (model.joint("bc").id, model.joint("ab").id)
+    np.testing.assert_allclose(model.eq_data[0][:5], polynomial, rtol=1e-6)
+    np.testing.assert_allclose(model.eq_solref[0], [0.01 if text == POLYNOMIAL else 0.02, 1])
+    assert bool(model.eq_active0[0]) is (text != POLYNOMIAL)
 
 
 @pytest.mark.parametrize(("kind", "api"), [("Spherical", "Connect"), ("Fixed", "Weld")])
@@ -177,9 +175,9 @@ def test_friction_in_all_directions(tmp_path, text, expected):
 
 
 def test_a_value_of_another_length_is_left_out_with_a_warning(tmp_path):
-    inside = f'def Sphere "ball" {applied("PhysicsCollisionAPI MjcCollisionAPI")} {{'
-    inside += " uniform double[] mjc:solref = [1, 2, 3, 4]\n }"
-    model, done = converted(write(tmp_path, link("a", inside=inside)))
+    apis = applied("PhysicsCollisionAPI MjcCollisionAPI")
+    ball = f'def Sphere "ball" {apis} {{ uniform double[] mjc:solref = [1, 2, 3, 4]\n }}'
+    model, done = converted(write(tmp_path, link("a", inside=ball)))
     np.testing.assert_allclose(model.geom_solref[0], [0.02, 1])
     assert any("solref" in warning for warning in done.report.warnings)
 

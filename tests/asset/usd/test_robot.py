@@ -46,16 +46,6 @@ def test_old_and_new_versions_of_physx_read_armature_and_velocity_limit(source: 
             assert math.radians(prim.GetAttribute(f"{schema}:maxJointVelocity").Get()) == pytest.approx(speed)
 
 
-def box_moments(mass: float, half: np.ndarray) -> np.ndarray:
-    squares = half**2
-    return mass / 3 * np.array([squares[1] + squares[2], squares[0] + squares[2], squares[0] + squares[1]])
-
-
-def cylinder_moments_about_y(mass: float, radius: float, width: float) -> np.ndarray:
-    across = mass * (radius**2 / 4 + width**2 / 12)
-    return np.array([across, mass * radius**2 / 2, across])
-
-
 def capsule_moments_about_z(mass: float, radius: float, length: float) -> np.ndarray:
     z = np.linspace(-length / 2 - radius, length / 2 + radius, 200_001)
     beyond = np.clip(np.abs(z) - length / 2, 0, None)
@@ -76,21 +66,20 @@ def test_weighs_half_a_kilogram_with_its_centre_of_mass_ahead_of_the_hips(model)
 
 @pytest.mark.parametrize("side", SIDES)
 def test_inertias_are_those_of_the_solid_shapes(model, side):
+    x, y, z = BOX_HALF**2
+    across = 0.06 * (WHEEL**2 / 4 + 0.012**2 / 12)
     expected = {
-        "base_link": box_moments(0.28, BOX_HALF),
+        "base_link": 0.28 / 3 * np.array([y + z, x + z, x + y]),
         f"{side}_thigh_link": capsule_moments_about_z(0.03, 0.005, THIGH),
         f"{side}_shank_link": capsule_moments_about_z(0.02, 0.004, SHANK),
-        f"{side}_wheel_link": cylinder_moments_about_y(0.06, WHEEL, 0.012),
+        f"{side}_wheel_link": [across, 0.06 * WHEEL**2 / 2, across],
     }
     for body, moments in expected.items():
         np.testing.assert_allclose(tensor(model, body), np.diag(moments), rtol=1e-5, atol=1e-12)
 
 
-def test_stands_over_its_axle_in_the_default_pose(home):
+def test_stands_over_its_axle_at_the_height_of_the_leg_geometry(home):
     assert home.subtree_com[0][0] == pytest.approx(home.body("l_wheel_link").xpos[0], abs=1e-5)
-
-
-def test_base_height_is_that_of_the_leg_geometry(home):
     formula = WHEEL + THIGH * math.cos(HIP) + SHANK * math.cos(HIP + KNEE)
     measured = WHEEL + home.body("base_link").xpos[2] - home.body("l_wheel_link").xpos[2]
     assert (formula, measured) == (pytest.approx(0.06995, abs=1e-5), pytest.approx(formula, abs=1e-7))
@@ -200,17 +189,14 @@ def test_pairs_within_a_leg_never_touch_and_all_others_may(model):
     assert (model.geom_contype[solid] & model.geom_conaffinity[solid]).all()
 
 
-def test_rotation_of_a_wheel_can_be_seen(model):
-    for side in SIDES:
-        marker = model.geom(f"{side}_wheel_link_valve_visual")
-        assert math.hypot(marker.pos[0], marker.pos[2]) > 0.01
-        assert marker.matid[0] != model.geom(f"{side}_wheel_link_tyre_visual").matid[0]
-
-
 def test_visuals_weigh_nothing_and_touch_nothing(model):
     visuals = [i for i in range(model.ngeom) if model.geom(i).name.endswith("_visual")]
     assert not (model.geom_contype[visuals] | model.geom_conaffinity[visuals]).any()
     assert set(model.geom_group[visuals]) == {2}
+    for side in SIDES:  # the rotation of a wheel can be seen
+        marker = model.geom(f"{side}_wheel_link_valve_visual")
+        assert math.hypot(marker.pos[0], marker.pos[2]) > 0.01
+        assert marker.matid[0] != model.geom(f"{side}_wheel_link_tyre_visual").matid[0]
 
 
 # ------------------------------------------------------------------ the USD itself

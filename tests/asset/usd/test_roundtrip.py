@@ -70,7 +70,8 @@ def test_masses_centres_and_inertias(pair):
 
 def test_joints_with_their_limits_and_passive_forces(pair):
     kinds = pair.original.jnt_type
-    single = [i for i in range(pair.original.njnt) if has_one_coordinate(kinds[i])]
+    one = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    single = [i for i in range(pair.original.njnt) if kinds[i] in one]
     ours = [pair.joints[i] for i in single]
     for values in JOINT:
         assert difference(getattr(pair.original, values)[single], getattr(pair.ours, values)[ours]) < TOLERANCE, values
@@ -84,23 +85,17 @@ def test_joints_with_their_limits_and_passive_forces(pair):
         assert difference(getattr(pair.original, values), getattr(pair.ours, values)[pair.positions], 1.0) < TOLERANCE
 
 
-def has_one_coordinate(kind: int) -> bool:
-    return int(kind) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-
-
 def test_actuators(pair):
     first, second = pair.actuators
     assert len(first) == pair.original.nu
     for key in ACTUATOR:
         before, after = (getattr(m, f"actuator_{key}") for m in (pair.original, pair.ours))
         assert difference(before[first], after[second]) < TOLERANCE, key
+    kinds = {int(mujoco.mjtTrn.mjTRN_JOINT): Obj.mjOBJ_JOINT, int(mujoco.mjtTrn.mjTRN_TENDON): Obj.mjOBJ_TENDON}
     for one, other in zip(first, second, strict=True):
-        assert target(pair.ours, other) == target(pair.original, one)
-
-
-def target(model: mujoco.MjModel, actuator: int) -> str:
-    kind = {int(mujoco.mjtTrn.mjTRN_JOINT): Obj.mjOBJ_JOINT, int(mujoco.mjtTrn.mjTRN_TENDON): Obj.mjOBJ_TENDON}
-    return name_of(model, kind[int(model.actuator_trntype[actuator])], model.actuator_trnid[actuator][0])
+        parts = ((pair.original, one), (pair.ours, other))
+        names = [name_of(m, kinds[int(m.actuator_trntype[i])], m.actuator_trnid[i][0]) for m, i in parts]
+        assert names[0] == names[1]
 
 
 def test_tendons(pair):
@@ -110,12 +105,9 @@ def test_tendons(pair):
         assert difference(before[first], after[second]) < within(pair, "tendon"), key
 
 
-def test_equalities(pair):
+def test_equalities_and_scene_options(pair):
     for key in ("eq_type", "eq_solref", "eq_solimp", "eq_active0"):
         np.testing.assert_allclose(getattr(pair.ours, key), getattr(pair.original, key), rtol=TOLERANCE)
-
-
-def test_scene_options_are_equal(pair):
     for key in ("gravity", "cone", "impratio", "integrator"):
         np.testing.assert_allclose(getattr(pair.ours.opt, key), getattr(pair.original.opt, key), rtol=1e-7)
     assert pair.ours.opt.disableflags == pair.original.opt.disableflags

@@ -105,12 +105,6 @@ def test_how_frictions_combine_is_reported_where_mujoco_differs(tmp_path, mode, 
     assert any(f"'{mode}'" in item.rule for item in done.report.assumptions) is said
 
 
-def test_restitution_and_static_friction_are_named(tmp_path):
-    rubber = material("rubber", 0.7, "float physics:restitution = 0.2\n float physics:staticFriction = 0.9")
-    _, done = friction(tmp_path, on_cube=BIND.format(purpose=":physics", name="rubber"), outside=rubber)
-    assert {"physics:restitution", "physics:staticFriction"} <= {item.name for item in done.report.left_out}
-
-
 # ------------------------------------------------------------------ colours and names
 @pytest.mark.parametrize(
     ("color", "expected"),
