@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from jobs.small import TINY, Words, wheelleg
 
-from foreign.trial import Trial, every_second
+from foreign.trial import Trial, every_second, plant_project
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.main import COMMANDS
 from wheelleg_exp.files import write_json, write_text, write_yaml
@@ -66,17 +66,8 @@ class Archive:
         return path
 
     def project(self, folder: Path) -> None:
-        texts = {
-            "pyproject.toml": '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n',
-            "evil/__init__.py": self.code,
-            "evil/terms.py": "def f(env):\n    return 1\n",
-        }
-        texts |= {f"configs/{group}/evil.yaml": f"evil: {json.dumps(TERM)}\n" for group in ("reward", "observation")}
-        texts["configs/task/evil.yaml"] = (
-            f"# @package _global_\ndefaults: [/task/stand, _self_]\nenv: {{rewards: {{evil: {json.dumps(TERM)}}}}}\n"
-        )
-        for name, text in texts.items():
-            write_text(folder / name, text)
+        task = f"# @package _global_\ndefaults: [/task/stand, _self_]\nenv: {{rewards: {{evil: {json.dumps(TERM)}}}}}\n"
+        write_text(plant_project(folder, self.code) / "task" / "evil.yaml", task)
 
     def plant_run(self, *, calls: bool) -> Path:
         trial, folder = self.trial, self.configs[0]

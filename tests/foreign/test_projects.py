@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from jobs.small import wheelleg
 
-from foreign.trial import Trial, every_second
+from foreign.trial import Trial, every_second, plant_project
 from wheelleg_exp import packages as projects
 from wheelleg_exp.packages import trust
 
@@ -16,16 +16,7 @@ DECLARED = '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n'
 
 
 def project(folder: Path, canary: Path) -> Path:
-    files = {
-        "pyproject.toml": DECLARED,
-        "evil/__init__.py": f"from pathlib import Path\nPath({str(canary)!r}).touch()\n",
-        "evil/terms.py": "def f(env):\n    return 1.0\n",
-        "configs/reward/evil.yaml": "evil: {_target_: evil.terms.f, weight: 1.0}\n",
-    }
-    for name, text in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text)
-    return folder / "configs"
+    return plant_project(folder, f"open({str(canary)!r}, 'w').close()\n")
 
 
 @pytest.fixture(autouse=True)

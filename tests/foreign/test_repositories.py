@@ -134,10 +134,6 @@ def test_no_program_of_a_repository_runs(repositories, plant):
     assert record.root == str(repositories.outer)
 
 
-def elsewhere(made: Repositories, private: Path) -> None:
-    made.set("core.worktree", str(private))
-
-
 def borrowed(made: Repositories, private: Path) -> None:
     made.commit(private)
     store = made.inner / ".git"
@@ -145,7 +141,7 @@ def borrowed(made: Repositories, private: Path) -> None:
     store.write_text(f"gitdir: {private}/.git\n")
 
 
-@pytest.mark.parametrize("plant", [elsewhere, borrowed])
+@pytest.mark.parametrize("plant", [lambda made, private: made.set("core.worktree", str(private)), borrowed])
 def test_a_snapshot_contains_nothing_of_another_folder(repositories, plant):
     private = repositories.root / "private"
     private.mkdir()

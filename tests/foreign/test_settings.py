@@ -10,6 +10,8 @@ from omegaconf import OmegaConf
 from foreign.trial import VARIABLE, Trial, every_second
 from wheelleg_exp.files import read_yaml, write_yaml
 
+from .test_archives import Runs
+
 pytestmark = pytest.mark.train
 
 ENV, AGENT, CONFIG = "params/env.yaml", "params/agent.yaml", ".hydra/config.yaml"
@@ -22,12 +24,8 @@ def in_term(value: Any) -> Callable[[Any], Any]:
 
 @pytest.fixture
 def read(trial: Trial) -> str:
-    class Canary:
-        def __reduce__(self) -> tuple[Any, ...]:
-            return (open, (str(trial.canary), "w"))
-
     path = trial.run.path / "array.npy"
-    np.save(path, np.array([Canary()], dtype=object), allow_pickle=True)
+    np.save(path, np.array([Runs(trial.canary)], dtype=object), allow_pickle=True)
     return f"{{_target_: numpy.load, file: '{path}', allow_pickle: true}}"
 
 

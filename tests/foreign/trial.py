@@ -45,6 +45,21 @@ def state(root: Path, without: Path | None = None) -> State:
     return found
 
 
+def plant_project(folder: Path, code: str) -> Path:
+    """Write a project whose package ``evil`` runs ``code`` when it is imported, and return its config folder."""
+    term = "evil: {_target_: evil.terms.f, weight: 1.0}\n"
+    texts = {
+        "pyproject.toml": '[project.entry-points."wheelleg_exp.packages"]\nx = "evil"\n',
+        "evil/__init__.py": code,
+        "evil/terms.py": "def f(env):\n    return 1.0\n",
+        "configs/reward/evil.yaml": term,
+        "configs/observation/evil.yaml": term,
+    }
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    return folder / "configs"
+
+
 @dataclass
 class Trial:
     """A planted run directory, the healthy run directory of which it is a copy, and texts that must not be shown."""
@@ -136,15 +151,12 @@ class Trial:
         for text in (*self.leaks, "\x1b[", "\x9b"):
             assert text not in answer, text
         assert state(self.root, self.run.path) == before
-        self._require_kept(command, said.status, inside)
-        return said
-
-    def _require_kept(self, command: str, status: int, before: State) -> None:
-        """Check that the command changed no file of the run, except for the files that the command adds."""
+        # The command changed no file of the run, except for the files that the command adds.
         after = state(self.run.path)
         added = {"report": ("report.html", "manifest.json"), "play": ("play", "manifest.json")}.get(command, ())
-        own = (*_LOCKS, *(added if status == 0 else ()))
-        changed = [name for name in {*before, *after} if before.get(name) != after.get(name)]
+        own = (*_LOCKS, *(added if said.status == 0 else ()))
+        changed = [name for name in {*inside, *after} if inside.get(name) != after.get(name)]
         assert [name for name in changed if Path(name).parts[0] not in own] == []
-        for name in (name for name in changed if after.get(name)):
-            assert SECRET.encode() not in (self.run.path / name).read_bytes() if Path(name).suffix else True
+        for name in (name for name in changed if after.get(name) and Path(name).suffix):
+            assert SECRET.encode() not in (self.run.path / name).read_bytes()
+        return said

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -64,7 +64,10 @@ def drive(
     runner, simulate = programs("runner", "simulate")
     spec = json.loads((bundle / "policy.json").read_text())
     robot, policy = simulate.Robot(spec, bundle / "robot" / "scene.xml"), runner.Policy(bundle)
-    weaken(robot, np.full(len(spec["joint_names"]), gain))
+    for index, (one, actuators) in enumerate(robot.drives):
+        robot.model.actuator_biasprm[actuators, 1:3] *= gain
+        gains = {key: (gain * np.array(one[key])).tolist() for key in ("stiffness", "damping")}
+        robot.drives[index] = ({**one, **gains}, actuators)
     robot.model.opt.timestep *= step
     edit(robot.model)
     simulate.mujoco.mj_setConst(robot.model, robot.data)
@@ -79,32 +82,15 @@ def drive(
         for name, sigma in NOISE.items():
             seen[name] = seen[name] + noise * sigma * rng.standard_normal(seen[name].shape)
         targets = policy.step(seen)
-        rows.append(row_of(spec["joint_names"], row * step * spec["step_dt"], seen, targets))
+        found = {"time": row * step * spec["step_dt"], "status": 0.0, "reset": float(row == 0)}
+        for name, values in (seen | {f"target_{kind}": values for kind, values in targets.items()}).items():
+            joints = name.startswith(("joint_", "target_"))
+            parts = spec["joint_names"] if joints else "012" if name.startswith("commands") else "xyz"
+            found |= {f"{name}.{part}": float(x) for part, x in zip(parts, values, strict=True)}
+        rows.append(found)
         for _ in range(spec["decimation"]):
             robot.drive(targets)
             simulate.mujoco.mj_step(robot.model, robot.data)
             targets = policy.targets(robot.data.qpos[robot.qpos])
     assert robot.upright > 0.9
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
-def row_of(names: list[str], time: float, seen: Mapping[str, Any], targets: Mapping[str, Any]) -> dict[str, float]:
-    row = {"time": time, "status": 0.0, "reset": float(time == 0)}
-    for name, values in seen.items():
-        parts = names if name.startswith("joint_") else "012" if name.startswith("commands") else "xyz"
-        row |= {f"{name}.{part}": float(x) for part, x in zip(parts, values, strict=True)}
-    for kind, values in targets.items():
-        row |= {f"target_{kind}.{joint}": float(x) for joint, x in zip(names, values, strict=True)}
-    return row
-
-
-def weaken(robot: Any, gain: np.ndarray) -> None:
-    """Multiply the gains of the drives of a bundle's simulated robot by one number per joint."""
-    drives = []
-    for drive_, actuators in robot.drives:
-        own = gain[drive_["joint_ids"]]
-        robot.model.actuator_biasprm[actuators, 1:3] *= own[:, None]
-        drives.append(
-            ({**drive_, **{key: (own * drive_[key]).tolist() for key in ("stiffness", "damping")}}, actuators)
-        )
-    robot.drives = drives
