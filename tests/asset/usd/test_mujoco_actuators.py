@@ -8,6 +8,7 @@ from wheelleg_exp.errors import AssetError
 
 from ..small_usd import converted, hinge, link, write
 
+Trn = mujoco.mjtTrn
 SITE = """
         def Sphere "{name}" (prepend apiSchemas = ["MjcSiteAPI"])
         {{
@@ -61,7 +62,7 @@ def test_parameters_and_ranges_are_those_of_the_file(tmp_path):
         uniform double mjc:forceRange:min = -23; uniform double mjc:forceRange:max = 24"""
     model, done = pair(tmp_path, text)
     motor = model.actuator("motor")
-    assert (motor.trntype, motor.trnid[0]) == (int(mujoco.mjtTrn.mjTRN_JOINT), model.joint("j").id)
+    assert (motor.trntype, motor.trnid[0]) == (int(Trn.mjTRN_JOINT), model.joint("j").id)
     assert (motor.gainprm[0], motor.gear[0], motor.group, done.report.totals["actuators"]) == (100, 3, 2, 1)
     np.testing.assert_allclose(motor.biasprm[:4], [0, -100, -2, 0])
     np.testing.assert_allclose([motor.ctrlrange, motor.forcerange], [[-0.8, 0.9], [-23, 24]])
@@ -94,12 +95,8 @@ ACTIVATION = {"actrange": [-2, 3], "lengthrange": [0.1, 0.4], "actearly": 1, "ac
         (f'uniform token mjc:ctrlLimited = "false"\n{UPPER}', {}, {"ctrllimited": 0}),
         ("uniform double[] mjc:gainPrm = [0, 0, 0]", {}, {"gainprm": [0] * 10}),
         (ACTIVE, {}, ACTIVATION),
-        (
-            "uniform bool mjc:jointInParent = 1",
-            {"kind": "Spherical"},
-            {"trntype": int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)},
-        ),
-        (UPPER, {"target": "b"}, {"trntype": int(mujoco.mjtTrn.mjTRN_BODY), "trnid": [2, -1]}),
+        ("uniform bool mjc:jointInParent = 1", {"kind": "Spherical"}, {"trntype": int(Trn.mjTRN_JOINTINPARENT)}),
+        (UPPER, {"target": "b"}, {"trntype": int(Trn.mjTRN_BODY), "trnid": [2, -1]}),
     ],
     ids=["one end of a range", "a range that is off", "no gain", "activation", "in the parent's frame", "adhesion"],
 )
@@ -124,7 +121,7 @@ CRANK = "rel mjc:sliderSite = </bot/a/here>\n uniform double mjc:crankLength = 1
 @pytest.mark.parametrize(("text", "kind", "crank"), [(REFERENCE, "SITE", 0), (CRANK, "SLIDERCRANK", 1.3)])
 def test_a_site_is_driven_relative_to_another_site_or_by_a_crank(tmp_path, text, kind, crank):
     model, _ = pair(tmp_path, text, target="b/tip")
-    assert model.actuator_trntype[0] == int(getattr(mujoco.mjtTrn, f"mjTRN_{kind}"))
+    assert model.actuator_trntype[0] == int(getattr(Trn, f"mjTRN_{kind}"))
     assert list(model.actuator_trnid[0]) == [model.site("tip").id, model.site("here").id]
     assert model.actuator_cranklength[0] == crank
 
