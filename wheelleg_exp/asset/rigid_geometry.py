@@ -1,8 +1,4 @@
-"""Compute rotations, rigid frames, rounded numbers, and the volume, centre, and inertia of solids and compound bodies.
-
-Arrays hold column vectors. Primitive shapes have closed forms. MuJoCo's compiler computes the volume and inertia of a
-mesh or of its convex hull. The inertia of a capsule is the sum of the inertias of a cylinder and two half spheres.
-"""
+"""Rotations, rigid frames, rounded numbers, and volume, centre, and inertia of solids and of compound bodies."""
 
 from __future__ import annotations
 
@@ -30,12 +26,7 @@ NOISE = 1e-14  # relative error
 
 
 def rounded(value: float, scale: float | None = None) -> float:
-    """Return a short decimal within the single-precision rounding error of ``value``; ``value`` if there is none.
-
-    For example, a joint limit of -0.5000000058 rad (-28.64789 degrees in the USD file) becomes -0.5 rad. USD stores
-    most physical quantities in single precision. The allowed rounding error is proportional to ``scale``, by default
-    the absolute value of ``value``.
-    """
+    """Return a short decimal within single precision's rounding error of ``value`` (relative to ``scale``), if any."""
     size = abs(value) if scale is None else scale
     if abs(value) <= size * 2.0**-23:
         return 0.0
@@ -234,11 +225,7 @@ def tensor_of(moments: ArrayLike, axes: ArrayLike) -> Array:
 
 
 def principal(tensor: Array) -> tuple[Vec3, Quat]:
-    """Return the principal moments of an inertia tensor (3, 3) and the rotation (w, x, y, z) of their axes.
-
-    Each step of Jacobi's method rotates the tensor by at most 45° to make its largest off-diagonal element zero.
-    Jacobi's method gives the principal moments in the same order as PhysX, which uses this method, too.
-    """
+    """Return an inertia tensor's principal moments and axes (w, x, y, z), by Jacobi's method, in PhysX's order."""
     turn, left = np.eye(3), np.array(tensor, dtype=float)
     smallest = 1e-15 * np.abs(left).max()
     for _ in range(60):

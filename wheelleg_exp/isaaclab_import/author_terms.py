@@ -1,8 +1,4 @@
-"""Copy the functions and classes that a run needs out of the author's Python files, without importing these files.
-
-Each source file gives one module with the needed definitions, what they use from the same file, and their import
-lines, in which ``isaaclab`` became ``wheelleg_exp.isaaclab``.
-"""
+"""Copy the functions and classes that a run needs out of the author's Python files, without importing these files."""
 
 from __future__ import annotations
 

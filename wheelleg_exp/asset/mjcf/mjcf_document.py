@@ -1,8 +1,4 @@
-"""Print a robot description as MJCF for people to read: settings, classes, assets, the body tree, and keyframes.
-
-Each assumption of the converter becomes an XML comment: at the MJCF element that the assumption concerns, or at the
-start of the file if the MJCF has no such element.
-"""
+"""Print a robot description as MJCF for people to read; an assumption is a comment at its element, or in the head."""
 
 from __future__ import annotations
 

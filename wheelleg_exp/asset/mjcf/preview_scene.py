@@ -29,11 +29,7 @@ def scene_path(model: Path) -> Path:
 
 
 def write_scene(robot: RobotDescription, model: Path) -> Path | None:
-    """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path.
-
-    The preview scene uses MuJoCo's ``discrete`` integrator, which treats stiffness implicitly. The preview scene gets
-    the largest time step with which a dropped robot is simulated for half a second without instability.
-    """
+    """Write the preview scene next to a robot's MJCF; return None if an unrelated file has the scene's path."""
     path = scene_path(model)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace"):
         return None

@@ -1,8 +1,4 @@
-"""Parse a URDF, check its numbers, and record which XML elements and attributes became part of the MJCF.
-
-XML with a document type is refused, because XML entities could grow without limit or read other files. The nesting
-depth and the number of a URDF's XML elements are limited.
-"""
+"""Parse a URDF without a document type, check its numbers, and record which parts of it became part of the MJCF."""
 
 from __future__ import annotations
 

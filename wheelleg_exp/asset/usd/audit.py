@@ -1,9 +1,4 @@
-"""Report every authored physics property, schema, and prim of a USD stage that the converter has not read.
-
-The module's tables map name patterns of USD properties, schemas, and prim types to the reason why the MJCF omits them.
-The first pattern that matches a property's name gives the reason for the property's omission. A property that matches
-no pattern is reported as unknown.
-"""
+"""Report every physics property, schema, and prim that is not read, with the reason of the first pattern that fits."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Complete a robot description with the data of MuJoCo's own USD schemas, such as ``MjcJointAPI``.
-
-MuJoCo's USD schemas describe joints, geoms, equalities, actuators, tendons, keyframes, the options and flags of the
-scene, and compiler settings that affect masses and inertias.
-
-MuJoCo's schemas override Newton's schemas, and Newton's schemas override PhysX's.
-"""
+"""Complete a robot description with the data of MuJoCo's USD schemas, which override Newton's, and these PhysX's."""
 
 from __future__ import annotations
 
