@@ -99,7 +99,7 @@ def test_evaluations_of_different_scenarios_and_damaged_evaluations_are_refused(
     with pytest.raises(RunDirectoryError, match="different scenarios"):
         over_seeds([read_evaluation(path.parent) for path in paths])
     paths[0].write_text("{")
-    with pytest.raises(RunDirectoryError, match="is damaged"):
+    with pytest.raises(RunDirectoryError, match="broken JSON"):
         read_evaluation(paths[0].parent)
 
 

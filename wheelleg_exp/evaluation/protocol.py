@@ -150,10 +150,8 @@ def _run(subject: Subject, table: Scenarios) -> Part:
         return _in_changed_worlds(subject, table)
     rollout = _placed(subject, table)
     policy, progress = subject.make_policy(rollout.env), subject.progress_of(table.test)
-    if table.test == "push" and subject.protocol.push is not None:
-        columns, made = disturbance_tests.push_columns(
-            rollout, policy, subject.protocol.push, subject.seed, subject.target, progress
-        )
+    if table.test == "push" and (push := subject.protocol.push) is not None:
+        columns, made = disturbance_tests.push_columns(rollout, policy, push, subject.seed, subject.target, progress)
         columns |= motion_columns.survival(made, [])
     else:
         ramp = subject.protocol.get_up.ramp_s if table.test == "get_up" and subject.protocol.get_up else 0.0

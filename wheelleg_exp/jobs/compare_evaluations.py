@@ -57,7 +57,7 @@ def compare(
         said = comparison.verdict(found, *names, trainings) if against else ""
         pushed = comparison.push_verdict(found, *names)
     evaluation = runs[0].evaluation
-    content: dict[str, Any] = {
+    content = {
         "format": COMPARISON_FORMAT,
         "protocol": evaluation.protocol["name"],
         "scenarios_sha256": evaluation.scenarios_sha256,

@@ -15,6 +15,7 @@ from wheelleg_exp.build import with_robot_file
 from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.evaluation.evaluation_env import evaluation_options, target_heights
@@ -80,10 +81,10 @@ def evaluation_settings(
     return EvaluationSettings(config, tree["protocol"])
 
 
-def _settings_read(tree: Mapping[str, Any], protocol: Protocol) -> Mapping[str, object]:
+def _settings_read(tree: Mapping[str, object], protocol: Protocol) -> Mapping[str, object]:
     """Return the parts of the config sections ``env`` and ``agent`` that an evaluation uses."""
-    env = read_env(tree["env"])
-    agent = {key: value for key, value in tree["agent"].items() if key in run_config.POLICY_KEYS}
+    env = read_env(section_at(tree, "env"))
+    agent = {key: value for key, value in section_at(tree, "agent").items() if key in run_config.POLICY_KEYS}
     used = plain_section(evaluation_options(env, protocol, 0, 0.0, protocol.ground))
     rewards = {} if protocol.target_height is not None else target_heights(env)
     return {"env": {**used, "rewards": rewards}, "agent": agent}
@@ -156,7 +157,12 @@ def evaluate_reference(
 
 
 def _save(
-    run: RunDirectory, kind: str, content: dict[str, Any], found: Evaluation, command: Sequence[str], draw: Draw | None
+    run: RunDirectory,
+    kind: str,
+    content: dict[str, object],
+    found: Evaluation,
+    command: Sequence[str],
+    draw: Draw | None,
 ) -> Path:
     """Write the evaluation into a new folder of the run directory, atomically, and return this folder."""
     with dated_folder(run.evaluation) as folder:
@@ -164,8 +170,8 @@ def _save(
         write_json(folder / RESULT, content)
         files = [folder / RESULT, folder / EPISODES, *([] if draw is None else draw(found, folder))]
         keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
-        results = {"protocol": content["protocol"]["name"], **{key: content[key] for key in keys if key in content}}
-        results["metrics"] = {name: figure["value"] for name, figure in content["metrics"].items()}
+        results = {"protocol": found.protocol["name"], **{key: content[key] for key in keys if key in content}}
+        results["metrics"] = {name: figure.as_dict()["value"] for name, figure in found.metrics.items()}
         run.manifest().add(kind, files, results, command=command)
     return folder
 

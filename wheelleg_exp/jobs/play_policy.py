@@ -14,6 +14,7 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.schema import PlayRoot
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_disturbances
 from wheelleg_exp.errors import SimulationFailure
@@ -97,16 +98,17 @@ def prepare_policy(
     return RunPolicy(run, checkpoint, settings, tree, adapter, policy, rollout_files.checkpoint_facts(run, checkpoint))
 
 
-def _settings_read(tree: Mapping[str, Any]) -> Tree:
+def _settings_read(tree: Mapping[str, object]) -> Tree:
     """Return the settings that a play reads: of ``agent``, the policy's network and the number of accepted failures."""
-    agent = {key: value for key, value in tree["agent"].items() if key in (*run_config.POLICY_KEYS, "max_non_finite")}
+    known = (*run_config.POLICY_KEYS, "max_non_finite")
+    agent = {key: value for key, value in section_at(tree, "agent").items() if key in known}
     return {**_in_conditions(tree), "agent": agent}
 
 
-def _in_conditions(tree: Mapping[str, Any]) -> Tree:
-    if tree["play"]["conditions"] == "training":
+def _in_conditions(tree: Mapping[str, object]) -> Tree:
+    if at(tree, "play.conditions") == "training":
         return {**tree}
-    return {**tree, "env": plain_section(without_disturbances(read_env(tree["env"])))}
+    return {**tree, "env": plain_section(without_disturbances(read_env(section_at(tree, "env"))))}
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict, cast
+from typing import NotRequired, TypedDict, cast
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, read_json, read_text, write_json, write_text
 from wheelleg_exp.jobs.compare_evaluations import Compared
 from wheelleg_exp.jobs.evaluate_policy import Evaluated
 from wheelleg_exp.paths import TEACHER
-from wheelleg_exp.plain_data import Unreadable, json_value, yaml_value
+from wheelleg_exp.plain_data import yaml_value
 from wheelleg_exp.run import records
 from wheelleg_exp.run.records import ProcessFacts, Resume
 from wheelleg_exp.run.run_config import require_overrides
@@ -297,12 +297,7 @@ def build_record(
 
 def read_record(path: Path) -> ResultRecord:
     """Read a result record that ``write_results`` has written."""
-    try:
-        with for_people(path, "read"):
-            record = json_value(path.read_bytes())
-    except Unreadable as error:
-        message = f"the file is damaged: {error.problem}"
-        raise RunDirectoryError(message, key=str(path), expected="a result's record") from error
+    record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise RunDirectoryError("the file is not a record of wheelleg results", key=str(path), expected=_EXPECTED)
     return records.read_record(ResultRecord, record, "broken result record", path)
@@ -416,16 +411,11 @@ def parameters(run: RunDirectory) -> str:
 
 def evaluation_numbers(made: Evaluated) -> EvaluationNumbers:
     """Return an evaluation's seed, scenario hashes, and metrics, which a repetition must reproduce exactly."""
-    content = made.content
-    return EvaluationNumbers(
-        seed=content["seed"],
-        scenarios_sha256=content["scenarios_sha256"],
-        starts_sha256=content["starts_sha256"],
-        metrics=content["metrics"],
-    )
+    keys = ("seed", "scenarios_sha256", "starts_sha256", "metrics")
+    return cast(EvaluationNumbers, {key: made.content[key] for key in keys})
 
 
-def result_manifest(run: RunDirectory) -> dict[str, Any]:
+def result_manifest(run: RunDirectory) -> dict[str, object]:
     """Return those entries of a run's manifest that ``write_results`` saves in the file ``<run id>.json``."""
     data = run.manifest().data
     source = data.get("source") or {}

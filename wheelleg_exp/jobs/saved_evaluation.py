@@ -14,8 +14,7 @@ import numpy as np
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure
-from wheelleg_exp.files import for_people, write_text
-from wheelleg_exp.plain_data import Unreadable, json_value
+from wheelleg_exp.files import for_people, read_json, write_text
 from wheelleg_exp.run.records import Addition
 
 RESULT, EPISODES = "evaluation.json", "episodes.csv"
@@ -36,11 +35,7 @@ def write_episodes(path: Path, episodes: Mapping[str, np.ndarray]) -> None:
 def read_content(folder: Path) -> dict[str, Any]:
     """Return the content of a saved ``evaluation.json``."""
     path = folder / RESULT
-    try:
-        with for_people(path, "read"):
-            content = json_value(path.read_bytes())
-    except Unreadable as error:
-        raise RunDirectoryError(f"the file is damaged: {error.problem}", key=str(path), expected=_EXPECTED) from error
+    content = read_json(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise RunDirectoryError(f"the file is not an evaluation in format {FORMAT}", key=str(path), expected=_EXPECTED)
     return content

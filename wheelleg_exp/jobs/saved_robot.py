@@ -9,11 +9,11 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from wheelleg_exp.asset import CachedConversion
 from wheelleg_exp.asset.conversion_report import Report
+from wheelleg_exp.config.tree_lookup import at
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.files import read_bytes, read_text, write_json, write_text
 from wheelleg_exp.run.file_inventory import is_inside
@@ -73,9 +73,9 @@ def load_saved_robot(directory: RunDirectory) -> CachedConversion:
     return CachedConversion(saved_mjcf(directory), report, sources, key="", fresh=False)
 
 
-def require_same_robot(recorded: Mapping[str, Any], tree: Mapping[str, Any], rule: str) -> None:
+def require_same_robot(recorded: Mapping[str, object], tree: Mapping[str, object], rule: str) -> None:
     """Raise ConfigError if overrides replaced the run's robot; ``rule`` is the error message."""
     for key in ("asset", "base"):
-        if tree["env"]["robot"][key] != recorded["env"]["robot"][key]:
+        if at(tree, f"env.robot.{key}") != at(recorded, f"env.robot.{key}"):
             expected = "the run's own value; another robot needs a new run"
             raise ConfigError(rule, key=f"env.robot.{key}", expected=expected)

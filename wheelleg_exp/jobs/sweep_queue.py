@@ -15,13 +15,17 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, cast
 
 from wheelleg_exp.child_process import Child, Event, listen, parse_event
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs.training_job import JobRequest, job_program
 from wheelleg_exp.run.environment import replay_environ, variables
+
+if TYPE_CHECKING:
+    import submitit
 
 REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
@@ -251,7 +255,7 @@ class SubmititLauncher(Queue):
 class _SubmititTicket:
     """A job in a queue: whether it has left the queue, how to remove or end it, and why it died without an event."""
 
-    def __init__(self, job: Any) -> None:
+    def __init__(self, job: submitit.Job[str]) -> None:
         self._job = job
 
     def gone(self) -> bool:
@@ -275,18 +279,18 @@ _INIT = {"include_dashboard": False, "log_to_driver": False, "logging_level": "e
 class RayLauncher(Queue):
     """Submits each sweep job as a Ray task, with the settings ``ray.init`` and ``ray.remote`` of hydra-ray-launcher."""
 
-    def __init__(self, settings: Mapping[str, Any], folder: Path) -> None:
+    def __init__(self, settings: Mapping[str, object], folder: Path) -> None:
         import ray
 
         super().__init__(folder)
-        chosen = settings["ray"]
-        init = {**_INIT, **chosen["init"]}
+        init = {**_INIT, **section_at(settings, "ray.init")}
         if init.get("address") is None and "RAY_ADDRESS" not in os.environ:
             init.setdefault("object_store_memory", _OBJECT_STORE)  # Ray starts a new cluster if no address is given.
         try:
             if not ray.is_initialized():
                 ray.init(**init)
-            options = {"max_retries": 0, **chosen["remote"]}  # Ray must not restart a job whose process died.
+            # Ray must not restart a job whose process died.
+            options = {"max_retries": 0, **section_at(settings, "ray.remote")}
             self._task = ray.remote(**options)(_run_queue_worker)
         except (ConnectionError, RuntimeError, TypeError, ValueError) as error:
             message = f"Ray refuses it: {_one_line(error)[:300]}"
@@ -303,7 +307,7 @@ def _run_queue_worker(folder: str) -> str:
 
 
 class _RayTicket:
-    def __init__(self, reference: Any) -> None:
+    def __init__(self, reference: object) -> None:
         import ray
 
         self._ray, self._reference = ray, reference

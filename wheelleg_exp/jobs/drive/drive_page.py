@@ -19,18 +19,22 @@ from contextlib import ExitStack, redirect_stdout, suppress
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import mujoco
 import numpy as np
 from PIL import Image
 
+from wheelleg_exp.config import schema
 from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
 from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK
 from wheelleg_exp.run.stock_policies import PREFIX, stock_names
+
+if TYPE_CHECKING:
+    import viser
 
 
 def require_free(port: int, use: str) -> None:
@@ -263,7 +267,7 @@ class DrivePage:
         # Reject connections from other web pages, because any page in a browser can try to connect to this server.
         own = self._server._websock_server
 
-        async def check(client: Any) -> None:
+        async def check(client: viser.ClientHandle) -> None:
             connection = own._live_connections[client.client_id]
             if connection.request.headers.get("Origin") not in origins:
                 await connection.close(1008, "another page")
@@ -282,17 +286,15 @@ class DrivePage:
         """The address for the browser."""
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
 
-    def open(
-        self, session: DriveSession, choice: Choose, options: Mapping[str, Any], checkpoints: Sequence[Path]
-    ) -> str:
-        """Show the robot and its controls, and return the page's URL; ``options`` is the config section ``drive``."""
-        self._session, self._hands.push = session, float(options["push"])
+    def open(self, session: DriveSession, choice: Choose, options: schema.Drive, checkpoints: Sequence[Path]) -> str:
+        """Show the robot and its controls, and return the page's URL."""
+        self._session, self._hands.push = session, options.push
         session.controls.paused, session.controls.speed = self._hands.controls.paused, self._hands.controls.speed
         self._checkpoints = {path.stem: path for path in checkpoints}
         self._policy = choice.policy or self._policy
-        get_up = options["get_up"]
+        get_up = options.get_up
         known = list(dict.fromkeys([*self._policies, *(PREFIX + name for name in stock_names())]))
-        if get_up not in (None, *known):
+        if get_up is not None and get_up not in known:
             message, expected, nearest = f"there is no policy '{get_up}'", ", ".join(known), nearest_name(get_up, known)
             raise ConfigError(message, key="drive.get_up", expected=f"one of {expected}", nearest=nearest)
         if self._policy != get_up:
@@ -395,11 +397,11 @@ class DrivePage:
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
-    def _slider(self, name: str) -> Any:
+    def _slider(self, name: str) -> viser.GuiSliderHandle[float]:
         axis, add = self._controls.axes[name], self._server.gui.add_slider
         slider = add(name, min=axis.low, max=axis.high, step=(axis.high - axis.low) / 200.0, initial_value=axis.rest)
 
-        def moved(event: Any) -> None:
+        def moved(event: viser.GuiEvent[viser.GuiSliderHandle[float]]) -> None:
             if event.client is not None:  # ``event.client`` is None if this program, not the user, moved the slider.
                 self._mirrored[name] = float(slider.value)
                 self._controls.set(name, self._mirrored[name])
@@ -412,7 +414,7 @@ class DrivePage:
         if choice.checkpoint is not None and choice.checkpoint.stem not in names:
             names.append(choice.checkpoint.stem)
 
-        def request(dropdown: Any, choose: Callable[[str], Choose | None]) -> None:
+        def request(dropdown: viser.GuiDropdownHandle[str], choose: Callable[[str], Choose | None]) -> None:
             def changed(_: object) -> None:
                 if chosen := choose(dropdown.value):
                     controls.request(chosen)

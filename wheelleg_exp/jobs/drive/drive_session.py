@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from tensordict import TensorDict
 from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation.disturbance_tests import add_velocity
 from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Jump, Push, Reset, RobotRequest
 from wheelleg_exp.jobs.drive.drive_script import DriveLog
 from wheelleg_exp.managers.non_finite import require_finite_actions
@@ -191,7 +191,7 @@ class DriveSession:
         self.driven.asked(self.steps, request)
         self.meter.asked(request)
         if isinstance(request, Push):
-            self._push(request)
+            add_velocity(self.env, torch.tensor([[request.x, request.y]], device=self.env.device))
         elif isinstance(request, Jump):
             for term in self.jumps:
                 term.start(torch.ones_like(term.is_jumping_env))
@@ -204,14 +204,6 @@ class DriveSession:
         self.env.reset()
         self.meter.began()
         self.fallen = None
-
-    def _push(self, push: Push) -> None:
-        robot, data = self.env.scene.robot, self.env.scene.robot.data
-        yaw = float(data.heading_w[0])
-        added = (math.cos(yaw) * push.x - math.sin(yaw) * push.y, math.sin(yaw) * push.x + math.cos(yaw) * push.y, 0.0)
-        velocity = data.root_lin_vel_w + data.root_lin_vel_w.new_tensor(added)
-        robot.write_root_com_velocity_to_sim(torch.cat((velocity, data.root_ang_vel_w), dim=1))
-        self.env.scene.refresh()
 
     def status(self) -> Status:
         """Return the state of the driven robot."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from wheelleg_exp.config import schema
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
@@ -210,15 +211,15 @@ def _drive_one(
     if request.script is not None:
         script = read_script(request.script, session.axes, jumps=bool(session.jumps))
     with dated_folder(request.run.play) as folder:
-        tree = prepared.tree
-        recording = prepared.recording(folder, request.command) if tree["recording"]["enabled"] else None
+        settings = prepared.settings
+        recording = prepared.recording(folder, request.command) if settings.recording.enabled else None
         with recording or nullcontext():
             if view is not None:
                 now = Choose(prepared.checkpoint, pick.scene, pick.policy)
-                where = view.open(session, now, tree["drive"], request.run.checkpoints())
+                where = view.open(session, now, settings.drive, request.run.checkpoints())
                 display.note(f"drive it at {where}  (Finish in the page, or Ctrl-C, ends the drive)")
-            following = _Driver(session, script, tree["drive"], display, view, stop).run()
-            content = {**prepared.about, "seed": tree["seed"], "overrides": list(request.overrides), "scene": scene}
+            following = _Driver(session, script, settings.drive, display, view, stop).run()
+            content = {**prepared.about, "seed": settings.seed, "overrides": list(request.overrides), "scene": scene}
             content |= {"handed_over": before is not None, **session.meter.figures()}
             if recording is not None:
                 recording.figures(content)
@@ -241,7 +242,7 @@ class _Driver:
 
     session: DriveSession
     script: Script | None
-    options: Mapping[str, Any]  # the config section ``drive``
+    options: schema.Drive
     display: Display
     view: DrivePage | None
     stop: StopRequest
@@ -250,8 +251,8 @@ class _Driver:
         self._controls: Controls = self.session.controls
         step_dt = self.session.env.step_dt
         self._hand = None if self.script is None else ScriptPlayer(self.script, self._controls, step_dt)
-        self._pace = None if self.view is None else RealTimePacer(step_dt, float(self.options["frames_per_s"]))
-        self._shown_s = 0.0 if self.view is None else float(self.options["fall_shown_s"])
+        self._pace = None if self.view is None else RealTimePacer(step_dt, self.options.frames_per_s)
+        self._shown_s = 0.0 if self.view is None else self.options.fall_shown_s
         self._fallen_at: float | None = None
 
     @ending_as(SimulationFailure)

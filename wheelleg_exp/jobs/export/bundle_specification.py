@@ -15,6 +15,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
 
 from wheelleg_exp.anatomy.compiled_robot import at_default
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.export import policy_json
@@ -201,12 +202,12 @@ ROLES = ("student", "actor")
 _GAUSSIAN = GaussianDistribution.__name__
 
 
-def require_perceptron(section: Mapping[str, Any], key: str) -> None:
+def require_perceptron(section: Mapping[str, object], key: str) -> None:
     """Raise ConfigError unless the network is an ``MLPModel`` whose output is the mean action."""
     if section["class_name"] != MLPModel.__name__:
         message = f"a runner does not know networks of class '{section['class_name']}'"
         raise ConfigError(message, key=f"{key}.class_name", expected="MLPModel: no memory of its own, no pictures")
-    distribution = (section.get("distribution_cfg") or {}).get("class_name", _GAUSSIAN)
+    distribution = section_at(section, "distribution_cfg").get("class_name", _GAUSSIAN)
     if distribution != _GAUSSIAN:
         message = f"a runner does not know the mean of a '{distribution}'"
         expected = f"{_GAUSSIAN}, whose mean is the network's output"

@@ -20,6 +20,7 @@ import numpy as np
 import onnx
 
 from wheelleg_exp import files
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_realism
 from wheelleg_exp.errors import ConfigError
@@ -52,22 +53,21 @@ _ENTITY = "wheelleg_exp.managers.SceneEntityCfg"
 _PLANE = "wheelleg_exp.sim.terrain.Plane"
 
 
-def as_configured(env: Mapping[str, Any]) -> dict[str, Any]:
+def as_configured(env: Mapping[str, object]) -> dict[str, object]:
     """Return a copy of the ``env`` config with one environment, and without events, curricula, and recorders."""
-    found = copy.deepcopy(dict(env)) | {"num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}}
-    found["sim"]["nthread"] = 1
-    return found
+    sim = {**section_at(env, "sim"), "nthread": 1}
+    return copy.deepcopy({**env, "sim": sim, "num_envs": 1, "events": {}, "curriculum": {}, "recorders": {}})
 
 
-def as_checked(env: Mapping[str, Any], rolling_joints: Sequence[str]) -> dict[str, Any]:
+def as_checked(env: Mapping[str, object], rolling_joints: Sequence[str]) -> dict[str, object]:
     """Return the ``env`` config of the simulation in which the exported policy files are checked.
 
     It has no noise, delays, encoder errors, pushes, or randomization. Wheel joints start at their default positions,
     because the exported ``runner.py`` counts wheel angles from the reset.
     """
-    env = plain_section(without_realism(read_env(env)))
-    found = as_configured(env)
-    events = {name: node for name, node in env["events"].items() if node is not None and node["_target_"] != _BIAS}
+    tree = plain_section(without_realism(read_env(env)))
+    found: dict[str, Any] = as_configured(tree)
+    events = {name: node for name, node in tree["events"].items() if node is not None and node["_target_"] != _BIAS}
     found["events"] = {name: copy.deepcopy(node) for name, node in events.items() if node["mode"] == "reset"}
     if rolling_joints:
         joints = {"_target_": _ENTITY, "name": "robot", "joint_names": [*map(re.escape, rolling_joints)]}
@@ -179,9 +179,8 @@ def _fill(
     params, seed = on_reference_engine(upgrade_env_params(params)), int(run.manifest().data["seeds"][0])
     role = next((role for role in bundle_specification.ROLES if role in agent), None)
     if role is None:
-        raise ConfigError(
-            "the run has no policy", key="agent", expected=f"one of {', '.join(bundle_specification.ROLES)}"
-        )
+        expected = f"one of {', '.join(bundle_specification.ROLES)}"
+        raise ConfigError("the run has no policy", key="agent", expected=expected)
     bundle_specification.require_perceptron(agent[role], f"agent.{role}")
     groups = agent["obs_groups"][role]
     mjcf, state = saved_mjcf(run), checkpoints.load(checkpoint)
@@ -295,7 +294,7 @@ def _write_robot(
     found = as_configured(params)
     names = ("static_friction", "dynamic_friction", "restitution")
     plane = {"_target_": _PLANE, **dict(zip(names, friction, strict=True))}
-    found["scene"] = {**found["scene"], "terrain": plane, "sensors": {}}
+    found["scene"] = {**section_at(params, "scene"), "terrain": plane, "sensors": {}}
     scene = SceneManager(found, mjcf, 1).scene
     scene.play()
     files.write_text(folder / "scene.xml", scene.spec.to_xml())

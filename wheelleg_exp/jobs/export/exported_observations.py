@@ -78,7 +78,7 @@ class Scaled(TypedDict, total=False):
 
 
 _ROBOT = SceneEntityCfg("robot")
-_IMU = "imu"  # the name of the IMU that observation terms read by default
+_IMU = SceneEntityCfg("imu")  # the IMU that observation terms read by default
 
 
 def observation_specs(env: ManagerBasedRLEnv, groups: list[str]) -> list[ObservationGroup]:
@@ -164,10 +164,7 @@ def _plain(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv,
 
 
 def _of_imu(quantity: str) -> Callable[[ManagerBasedRLEnv, Term], TermValue]:
-    def sensor(term: Term) -> str:
-        return str(term.params["asset_cfg"].name) if "asset_cfg" in term.params else _IMU
-
-    return lambda _env, term: _reading(f"{sensor(term)}.{quantity}")
+    return lambda _env, term: _reading(f"{term.params.get('asset_cfg', _IMU).name}.{quantity}")
 
 
 def _joint_values(name: str, function: str = "reading") -> Callable[[ManagerBasedRLEnv, Term], TermValue]:

@@ -11,7 +11,7 @@ import shutil
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from wheelleg_exp.jobs.export.bundle_check import READING, within_tolerances
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, reading
 from wheelleg_exp.jobs.export.policy_json import ActionTerm, Modifier, ObservationTerm, PolicyJson, Robot
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
+
+if TYPE_CHECKING:
+    import leapp
 
 _NODE, _GRAVITY, _ACTION, _XYZ = "policy", "projected_gravity", "last_action", ("x", "y", "z")
 # ``_KINDS`` maps each reading, without its sensor, to LEAPP's kind and its elements; () means the robot's joints.
@@ -53,7 +56,7 @@ def write_leapp(
     """
     import leapp
 
-    def port(name: str, value: torch.Tensor, kind: str | None, elements: Sequence[str] = ()) -> Any:
+    def port(name: str, value: torch.Tensor, kind: str | None, elements: Sequence[str] = ()) -> object:
         names = list(elements or spec["joint_names"]) if kind else None
         return leapp.TensorSemantics(name, value, kind=kind, element_names=names)
 
@@ -85,7 +88,7 @@ def write_leapp(
     return within_tolerances({"leapp": difference}), notes
 
 
-def _difference(policy: Any, spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> float:
+def _difference(policy: leapp.InferenceManager, spec: PolicyJson, recorded: Mapping[str, np.ndarray]) -> float:
     """Return the largest relative difference of the bundle's targets from the recorded ones, after recorded actions."""
     worst = 0.0
     for step, starts in enumerate(recorded["reset"]):

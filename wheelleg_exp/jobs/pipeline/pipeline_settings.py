@@ -12,6 +12,7 @@ from typing import Any
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.config_errors import override_of, parts, raise_all
+from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.constraints import Seed
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, Phase, Pipeline
@@ -41,7 +42,7 @@ def compose_pipeline(overrides: Sequence[str], config_dirs: Sequence[Path] = ())
         return replace(read_pipeline(composed.config[PRIMARY]), composed=composed)
 
 
-def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
+def read_pipeline(tree: Mapping[str, object]) -> PipelineSettings:
     """Read a pipeline from its recorded config, and check the settings of the pipeline."""
     if errors := section_errors(PRIMARY, tree, Pipeline):
         raise_all(errors)
@@ -53,7 +54,7 @@ def read_pipeline(tree: Mapping[str, Any]) -> PipelineSettings:
     mistakes = [error for name, phase in phases.items() for error in _own_mistakes(name, phase, is_first=name == first)]
     if mistakes:
         raise_all(mistakes)
-    nodes = {str(name): node for name, node in tree["phases"].items() if node is not None}
+    nodes = {str(name): node for name, node in section_at(tree, "phases").items() if node is not None}
     return PipelineSettings({**tree, "phases": nodes}, phases)
 
 

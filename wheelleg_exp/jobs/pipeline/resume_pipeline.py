@@ -36,10 +36,8 @@ def resume_pipeline(
     for text in overrides:
         if not names_pipeline(text):
             message = "a pipeline keeps the settings with which it started"
-            expected = f"settings of {PIPELINE}.phases.<phase>"
-            raise ConfigError(
-                message, key=text.lstrip("+~").partition("=")[0], where=f"override {text}", expected=expected
-            )
+            key, expected = text.lstrip("+~").partition("=")[0], f"settings of {PIPELINE}.phases.<phase>"
+            raise ConfigError(message, key=key, where=f"override {text}", expected=expected)
     recorded = index.data["config"]
     tree = apply_overrides({PIPELINE: recorded}, overrides)[PIPELINE]
     found = list(changes(recorded, tree, same, (PIPELINE,)))

@@ -64,12 +64,9 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
         asked = [("at_least", metric) for metric in gate.at_least] + [("at_most", metric) for metric in gate.at_most]
         for bound, metric in ((bound, metric) for bound, metric in asked if metric not in names):
             message = f"protocol '{gate.protocol}' has no such metric"
-            expected, nearest = (
-                "a metric of its evaluations, such as " + ", ".join(names[:3]),
-                nearest_name(metric, names),
-            )
             key = f"{PIPELINE}.phases.{name}.gate.{bound}.{metric}"
-            mistakes.append(ConfigError(message, key=key, expected=expected, nearest=nearest))
+            expected = f"a metric of its evaluations, such as {', '.join(names[:3])}"
+            mistakes.append(ConfigError(message, key=key, expected=expected, nearest=nearest_name(metric, names)))
     if mistakes:
         raise_all(mistakes)
 
@@ -107,9 +104,8 @@ class PipelineRunner:
             entry = next(entry for entry in self._index.phases if entry["name"] == name)
             if entry["status"] != "passed":
                 self._index.update(entry, status="training", started=entry["started"] or utc_text(utc_now()))
-                why = self._phase(entry, phase, source)
-                passed = why is None or entry["status"] == "passed"
-                self._index.update(entry, ended=utc_text(utc_now()))
+                passed, why = self._phase(entry, phase, source)
+                self._index.update(entry, status="passed" if passed else "failed", why=why, ended=utc_text(utc_now()))
                 if not passed:
                     return "stopped", f"phase '{name}': {why}"
             run = self._index.run_of(entry)
@@ -117,13 +113,13 @@ class PipelineRunner:
             source = run / f"model_{entry['trained'] - 1}.pt"
         return "finished", None
 
-    def _phase(self, entry: PhaseEntry, phase: Phase, source: Path | None) -> str | None:
-        """Train one phase, and evaluate the phase's policy regularly; return why the pipeline must stop, or None."""
+    def _phase(self, entry: PhaseEntry, phase: Phase, source: Path | None) -> tuple[bool, str]:
+        """Train one phase, and evaluate its policy regularly; return whether it passed the gate, and why it ended."""
         while True:
             target = self._target(entry, phase)
             self._train(entry, phase, source, target)
             if phase.gate is None:
-                return self._end(entry, passed=True, why=f"trained {target} iterations; there is no gate")
+                return True, f"trained {target} iterations; there is no gate"
             if not any(found["iteration"] == target for found in entry["gates"]):
                 self._judge(entry, phase.gate, target, last=target >= phase.max_iterations)
             verdicts = [bool(found["passed"]) for found in entry["gates"]]
@@ -131,14 +127,10 @@ class PipelineRunner:
             times = "once" if in_a_row == 1 else f"{in_a_row} times in a row"
             if last and not verdicts[-1]:
                 wrong = "; ".join(entry["gates"][-1]["why"])
-                return self._end(entry, passed=False, why=f"the gate is not passed after {target} iterations: {wrong}")
+                return False, f"the gate is not passed after {target} iterations: {wrong}"
             if last or in_a_row >= phase.gate.passes:
                 when = "training" if last else f"{target} iterations"
-                return self._end(entry, passed=True, why=f"the gate was passed {times}, after {when}")
-
-    def _end(self, entry: PhaseEntry, *, passed: bool, why: str) -> str | None:
-        self._index.update(entry, status="passed" if passed else "failed", why=why)
-        return None if passed else why
+                return True, f"the gate was passed {times}, after {when}"
 
     def _target(self, entry: PhaseEntry, phase: Phase) -> int:
         """Return the iteration count at which the training of ``phase`` pauses for an evaluation or ends."""

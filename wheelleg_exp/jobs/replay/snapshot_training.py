@@ -138,7 +138,7 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
     from wheelleg_exp.run.run_config import load_params, recorded_config
 
     env, agent = load_params(run)
-    config: dict[str, Any] = {"env": env, "agent": agent, **recorded_config(run, os.environ)}
+    config = {"env": env, "agent": agent, **recorded_config(run, os.environ)}
     config["run"] = {**config["run"], "root": request.root, "name": request.name}
     config["recording"] = {**config["recording"], "video_every": 0}
     agent["logger"] = agent.get("logger") and "tensorboard"

@@ -15,6 +15,7 @@ from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, placing
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.explaining.config_diff import ABSENT, Change, changes
+from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.plain_data import dump_yaml
 from wheelleg_exp.run import run_config
@@ -79,7 +80,7 @@ def change_entry(change: Change) -> dict[str, object]:
     return {"key": change.key, "was": was, "now": now}
 
 
-def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mapping[str, Any]) -> None:
+def _require_changeable(change: Change, recorded: Mapping[str, object], tree: Mapping[str, object]) -> None:
     if not decides(change.keys) or change.keys in _CHANGEABLE:
         return
     for prefix, why in _FIXED.items():
@@ -89,8 +90,8 @@ def _require_changeable(change: Change, recorded: Mapping[str, Any], tree: Mappi
         raise _refusal(change, "the networks were trained with this observation")
     section = change.keys[1] if change.keys[0] == "env" and len(change.keys) > 1 else ""
     if section in RESERVED and section != "observations":
-        now = tree["env"].get(section)
-        if not isinstance(now, Mapping) or list(now) != list(recorded["env"][section]):
+        now = at(tree, ("env", section))
+        if not isinstance(now, Mapping) or list(now) != list(section_at(recorded, ("env", section))):
             why = "the saved state has a place for each term of the run; a weight of 0 turns a reward off"
             raise _refusal(change, why)
         if change.keys[3:] in ((), ("_target_",), ("mode",)):
@@ -122,11 +123,11 @@ def rewritten_files(
     }
 
 
-def _apply(config: dict[str, Any], change: Change, tree: Mapping[str, Any]) -> None:
+def _apply(config: dict[str, object], change: Change, tree: Mapping[str, object]) -> None:
     """Change a key in the run's config; if an interpolation stands for a parent of the key, resolve it first."""
     node: Any = config
     for key in change.keys[:-1]:
-        tree = tree.get(key) or {}
+        tree = section_at(tree, (key,))
         if isinstance(node.get(key), str):
             node[key] = copy.deepcopy(dict(tree))
         elif node.get(key) is None:
