@@ -12,6 +12,8 @@ import torch
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.evaluation.lqr_balancer import Reference
+from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.terms.config_sections import read_section
 
 
 @pytest.fixture(scope="session")
@@ -23,6 +25,10 @@ def task() -> tuple[dict[str, Any], Path]:
 def protocol(name: str, *words: str) -> dict[str, Any]:
     """Return a composed protocol with few bootstrap resamples, as plain data."""
     return compose([f"protocol={name}", "protocol.resamples=20", *words], primary="evaluate").config["protocol"]
+
+
+def read_protocol(name: str, *words: str) -> Protocol:
+    return read_section(Protocol, protocol(name, *words), "protocol")
 
 
 def words(test: str, **settings: Any) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import torch
 
 from wheelleg_exp.evaluation.evaluation_env import RobotParts
@@ -24,27 +26,10 @@ def parts(n: int = 1) -> RobotParts:
 
 def still(seconds: float, n: int = 1) -> Trajectories:
     """Return episodes of robots that stand still and survive."""
-    steps = round(seconds / DT)
-
-    def room(*shape: int) -> torch.Tensor:
-        return torch.zeros(steps, n, *shape)
-
-    def row(value: int) -> torch.Tensor:
-        return torch.full((n,), value, dtype=torch.long)
-
-    return Trajectories(
-        dt=DT,
-        alive=torch.ones(steps, n, dtype=torch.bool),
-        **{name: room() for name in ("height", "roll", "pitch", "yaw")},
-        **{name: room(3) for name in ("pos", "vel", "ang", "command")},
-        **{name: room(4) for name in ("joint_pos", "joint_vel", "torque", "torque_rms", "saturated")},
-        **{name: room(4) for name in ("action", "work")},
-        sign_changes=room(2),
-        down=torch.ones(steps, n, 2, dtype=torch.bool),
-        clearance=room(2),
-        fell_at=row(0),
-        ended_by=row(-1),
-    )
+    env = SimpleNamespace(step_dt=DT, device="cpu")
+    made = Trajectories.empty(round(seconds / DT), n, parts(n), 4, env)
+    made.alive[:], made.down[:] = True, True
+    return made
 
 
 def times(made: Trajectories) -> torch.Tensor:

@@ -113,7 +113,8 @@ def told(evaluation: Evaluation, *starts: str) -> dict[str, float]:
 def test_who_falls_at_once_has_no_success_anywhere(found, policy):
     stood = found(policy, "gate_stand")
     assert stood.value("stand/survival") == 0.0
-    assert stood.value("stand/time_to_failure") < 2.0
+    assert 0.2 < stood.value("stand/time_to_failure") < 1.3  # The measured times were 0.28 to 1.2 s.
+    assert set(stood.episodes["ended_by"]) <= {"base_contact", "leg_contact", "tilt"}
     walked = found(policy, "walk")
     nothing = ("walk/survival", "walk/commandable_area", "walk/in_band", "walk/sign_", "steps/survival")
     assert set(told(walked, *nothing).values()) == {0.0}

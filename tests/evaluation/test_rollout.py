@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from evaluation.conftest import protocol, stub_env, words, zeros
+from evaluation.conftest import protocol, read_protocol, stub_env, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import disturbances, gain_ramp, margin, world, worlds
@@ -17,12 +17,11 @@ from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.policy_rollout import Rollout
 from wheelleg_exp.evaluation.protocol import evaluate
-from wheelleg_exp.evaluation.protocol_options import Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios, at_heights, getting_up, in_changed_world, jumping, standing
 from wheelleg_exp.evaluation.trajectories import EffortMeter
 from wheelleg_exp.managers import Env
 from wheelleg_exp.sim.options import EnvOptions, read_env
-from wheelleg_exp.terms.config_sections import Realism, read_section
+from wheelleg_exp.terms.config_sections import Realism
 
 
 def settings(env, options, num_envs=2, horizon_s=1.0) -> EnvOptions:
@@ -30,7 +29,7 @@ def settings(env, options, num_envs=2, horizon_s=1.0) -> EnvOptions:
 
 
 def rollout(task, scenarios, env=None) -> Rollout:
-    options = read_section(Protocol, protocol("stand"), "protocol")
+    options = read_protocol("stand")
     env = env or settings(task[0], options, scenarios.size, scenarios.horizon_s)
     made = build(replace(env, terminations={}), task[1], 5)
     return Rollout(made, scenarios, replace(options, fall_tilt=3.2, settle_s=0.0))
@@ -66,7 +65,7 @@ def test_starts_follow_from_the_seed_alone(task):
 
 def held(task, name, term, make, *changes) -> torch.Tensor:
     """Return the values of a command over 4 s, (T, N, D), in the test of the same name."""
-    options = read_section(Protocol, protocol(name, *changes), "protocol")
+    options = read_protocol(name, *changes)
     env = compose([f"task={'jump' if term == 'jump' else 'height'}"]).config["env"]
     table = make(getattr(options, name))
     cfg = replace(settings(env, options, table.size, 4.0), terminations={})
@@ -101,8 +100,7 @@ def test_each_episode_has_one_jump_at_the_time_of_the_protocol(task):
 
 
 def test_a_task_without_a_command_for_jumps_cannot_be_tested_for_jumps(task):
-    options = read_section(Protocol, protocol("jump"), "protocol")
-    assert options.jump is not None
+    options = read_protocol("jump")
     table = jumping(replace(options.jump, episodes=1))
     env = build(settings(task[0], options, table.size), task[1], 5)
     with pytest.raises(ConfigError, match=r"env\.commands.*commands no jump"):
@@ -180,8 +178,7 @@ SWEEPS = ("friction=[0.3]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[
 
 @pytest.fixture(scope="module")
 def changed(task) -> dict[tuple[str, float], Env]:
-    options = read_section(Protocol, protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS)), "protocol")
-    assert options.robust is not None
+    options = read_protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS))
     cfg = settings(task[0], options)
     wanted = ("nominal", "friction", "mass", "com", "gains", "noise")
     found = [world for world in worlds(cfg, options.robust) if world.sweep in wanted]
@@ -211,8 +208,7 @@ def test_each_world_differs_in_the_property_of_its_name(changed):
 
 
 def test_a_change_can_delay_actions_and_readings_lose_readings_and_tilt_the_imu(task):
-    options = read_section(Protocol, protocol("robust"), "protocol")
-    assert options.robust is not None
+    options = read_protocol("robust")
     cfg = settings(task[0], options)
     dt = cfg.sim.dt
 
@@ -231,8 +227,7 @@ def test_a_change_can_delay_actions_and_readings_lose_readings_and_tilt_the_imu(
 
 def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
     """A floor with the acceleration A sin(2πt) has the speed A/π after half a second; a robot in the air does not."""
-    options = read_section(Protocol, protocol("surfaces"), "protocol")
-    assert options.robust is not None
+    options = read_protocol("surfaces")
     changed = world(settings(task[0], options), options.robust, "platform", 2.0)
     still = replace(changed.env, events={})  # The task's random forces would move the robot, too.
     table = in_changed_world(replace(options.robust, episodes=1))
@@ -253,12 +248,9 @@ def test_a_floor_that_swings_moves_under_a_robot_in_the_air(task):
 
 @pytest.mark.parametrize("robot", ["article", "explicit"])
 def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task, robot):
-    options = read_section(Protocol, protocol("get_up"), "protocol")
-    assert options.get_up is not None
-    table, env = (
-        getting_up(replace(options.get_up, episodes=1)),
-        compose(["task=stand", f"robot={robot}"]).config["env"],
-    )
+    options = read_protocol("get_up")
+    env = compose(["task=stand", f"robot={robot}"]).config["env"]
+    table = getting_up(replace(options.get_up, episodes=1))
     made = Rollout(build(settings(env, options, 1), task[1], 1), table, options)
     drives = list(made.env.scene.robot.actuators.values())
     whole, ramp = [drive.damping.clone() for drive in drives], gain_ramp(made, 0.5)
@@ -285,16 +277,14 @@ def test_the_reference_holds_the_height_but_does_not_jump(task, skill):
 
 
 def test_a_payload_adds_to_the_mass_of_the_base(task):
-    options = read_section(Protocol, protocol("surfaces"), "protocol")
-    assert options.robust is not None
+    options = read_protocol("surfaces")
     loaded = world(settings(task[0], options), options.robust, "payload", 0.25)
     masses = build(loaded.env, task[1], 1).scene.sim.expanded["body_mass"]
     assert masses.sum(dim=1).tolist() == pytest.approx([0.75, 0.75], abs=0.031)  # the task's own range is ±0.03 kg
 
 
 def test_combined_changes_act_at_once(task):
-    options = read_section(Protocol, protocol("robust"), "protocol")
-    assert options.robust is not None
+    options = read_protocol("robust")
     cfg = settings(task[0], options)
     both = next(found for found in worlds(cfg, options.robust) if found.sweep == "combined").env
     assert both.observations["policy"].terms["base_ang_vel"]["noise"]["std"] == pytest.approx(0.2)
@@ -304,8 +294,7 @@ def test_combined_changes_act_at_once(task):
 
 @pytest.mark.parametrize(("limit", "expected"), [(0.3, 0.3), (2.0, 1.0), (0.0, 0.0)])
 def test_a_margin_is_the_largest_survived_change(limit, expected):
-    options = read_section(Protocol, protocol("robust"), "protocol").robust
-    assert options is not None
+    options = read_protocol("robust").robust
     found = margin(lambda value: 1.0 if value <= limit else 0.9, 1.0, options)
     assert expected - 1 / 64 <= found <= expected
     tried: list[float] = []
@@ -326,20 +315,20 @@ def test_a_margin_is_the_largest_survived_change(limit, expected):
 )
 def test_changes_that_cannot_be_made_are_refused(override, key, word):
     with pytest.raises(ConfigError, match=rf"protocol\.robust\.{key}.*{word}"):
-        read_section(Protocol, protocol("robust", override), "protocol")
+        read_protocol("robust", override)
 
 
 @pytest.mark.parametrize("variant", ["sensors", "full"])
 def test_an_evaluation_removes_the_tasks_realism_unless_the_protocol_includes_it(variant):
     env = compose(["task=stand", f"realism={variant}"]).config["env"]
     for realism, is_ideal in (("none", True), ("own", False)):
-        options = read_section(Protocol, protocol("stand", f"protocol.realism={realism}"), "protocol")
+        options = read_protocol("stand", f"protocol.realism={realism}")
         cfg = settings(env, options)
         assert (cfg.realism == Realism(), "imu_errors" not in cfg.events) == (is_ideal, is_ideal)
 
 
 def test_events_within_an_episode_time_outs_rewards_and_curricula_are_gone_and_the_rest_stays(task):
-    options = read_section(Protocol, protocol("stand"), "protocol")
+    options = read_protocol("stand")
     cfg = settings(task[0], options, 7, 9.0)
     assert "push_robot" not in cfg.events
     assert {"physics_material", "reset_base"} <= set(cfg.events)

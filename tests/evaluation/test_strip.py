@@ -1,4 +1,4 @@
-"""Test the strip terrain: its geometry, the measured phases, and the success of crossings."""
+"""Test the strip terrain (its geometry, the measured phases, the success of crossings), and the size of tiles."""
 
 import math
 from types import SimpleNamespace
@@ -6,13 +6,15 @@ from typing import Any
 
 import pytest
 import torch
+from sim.terrain.tiles import placed
 
 from evaluation.conftest import balancer, protocol, zeros
 from evaluation.synthetic import DT, fall, still, times
 from wheelleg_exp.evaluation import evaluate, terrain_tests
-from wheelleg_exp.evaluation.protocol_options import Strip
+from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
+from wheelleg_exp.evaluation.terrain_tests import tiles
 from wheelleg_exp.evaluation.trajectories import Trajectories
-from wheelleg_exp.sim.terrain import TerrainGenerator, UniformNoise
+from wheelleg_exp.sim.terrain import PyramidSlope, TerrainGenerator, UniformNoise
 
 ALONE = "protocol.terrain=null"
 FRICTION = {"static_friction": 0.5, "dynamic_friction": 0.5, "restitution": 0.0}
@@ -126,3 +128,24 @@ def test_who_falls_or_never_moves_comes_over_no_strip(task, make):
     found = evaluate(*task, make, protocol("terrain", *SMALL, *short))
     assert (found.value("strip/success"), found.value("strip/recovered")) == (0.0, 0.0)
     assert math.isnan(found.value("strip/error_vx_behind/2mm"))
+
+
+def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
+    made = tiles(Terrain(**protocol("terrain")["terrain"]), seed=3)
+    pit = {key: value for key, value in made["sub_terrains"]["slope_inverted"].items() if key != "_target_"}
+    names = ("horizontal_scale", "vertical_scale", "origin_window", "size", "difficulty_range")
+    settings = {key: made[key] for key in names}
+    ground = placed({"pit": PyramidSlope(**pit)}, num_rows=2, num_cols=1, curriculum=True, seed=3, **settings)
+    floors = [float(tile.heights.min()) for tile in ground.tiles]
+    assert min(floors) < -0.2  # deep pits
+    assert ground.terrain_origins[:, 0, 2].tolist() == pytest.approx(floors, abs=2e-3)
+
+
+def test_steps_are_three_halves_of_a_wheels_radius_high_at_most():
+    made = tiles(Terrain(**protocol("steps")["terrain"]), seed=3)
+    heights = {
+        name: node.get("step_height_range") or node.get("box_height_range")
+        for name, node in made["sub_terrains"].items()
+    }
+    assert heights == {name: [0.005, 0.03] for name in ("stairs", "stairs_inverted", "step", "step_inverted")}
+    assert made["size"] == [4.0, 4.0]

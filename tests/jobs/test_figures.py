@@ -27,9 +27,7 @@ class FakeEnv:
         )
         self.scene = _Scene(contact_forces=self.sensor)
         self.scene.robot = SimpleNamespace(data=self.data)
-        fired = {"time_out": torch.zeros(3, dtype=torch.bool), "fell": torch.zeros(3, dtype=torch.bool)}
-        self.fired = fired
-        self.termination_manager = _Terminations(fired)
+        self.termination_manager = SimpleNamespace(active_terms=("time_out", "fell"), endings=self.endings)
         params = {name: SimpleNamespace(params=values) for name, values in terms}
         self.reward_manager = SimpleNamespace(active_terms=list(params), get_term_cfg=params.__getitem__)
 
@@ -41,48 +39,23 @@ class FakeEnv:
         # Rotate gravity (0, 0, -1) into the axes of a base that is pitched about its y axis.
         self.data.projected_gravity_b = torch.stack([angle.sin(), torch.zeros(3), -angle.cos()], dim=1)
         self.reward_buf = torch.tensor(rewards)
-        self.fired["time_out"][:] = torch.tensor([i in out for i in range(3)])
-        self.fired["fell"][:] = torch.tensor([i in fell for i in range(3)])
+        manager = self.termination_manager
+        manager.time_outs, manager.terminated = (torch.tensor([i in ids for i in range(3)]) for ids in (out, fell))
+        manager.dones = manager.time_outs | manager.terminated
 
-    def reset_done(self):
-        self.episode_length_buf[self.termination_manager.dones] = 0
+    def endings(self, ids):
+        fired = {"time_out": self.termination_manager.time_outs, "fell": self.termination_manager.terminated}
+        return Counter(" and ".join(name for name in fired if fired[name][i]) for i in ids.nonzero()[:, 0].tolist())
 
 
 class _Scene(dict):
     robot: SimpleNamespace
 
 
-class _Terminations:
-    active_terms = ("time_out", "fell")
-
-    def __init__(self, fired):
-        self._fired = fired
-
-    def get_term(self, name):
-        return self._fired[name]
-
-    def endings(self, ids):
-        return Counter(
-            " and ".join(n for n in self.active_terms if self._fired[n][i]) for i in ids.nonzero()[:, 0].tolist()
-        )
-
-    @property
-    def time_outs(self):
-        return self._fired["time_out"]
-
-    @property
-    def terminated(self):
-        return self._fired["fell"]
-
-    @property
-    def dones(self):
-        return self.time_outs | self.terminated
-
-
 def observe(env, meter, **values):
     env.set(**values)
     meter.observe()
-    env.reset_done()
+    env.episode_length_buf[env.termination_manager.dones] = 0
 
 
 def standing(settle_s=0.0):

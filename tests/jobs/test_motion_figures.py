@@ -50,9 +50,13 @@ class FakeEnv:
         self.episode_length_buf[self.termination_manager.dones] = 0
 
 
-def test_the_way_is_from_where_it_settled_and_means_are_over_episodes():
+def moving(settle_s=0.0):
     env = FakeEnv()
-    meter = MotionMeter(env, settle_s=STEP)
+    return env, MotionMeter(env, settle_s)
+
+
+def test_the_way_is_from_where_it_settled_and_means_are_over_episodes():
+    env, meter = moving(STEP)
     env.step(meter, place=(9.0, 9.0))
     env.step(meter, place=(1.0, 5.0), heading=(3.0, 0.0))
     env.step(meter, place=(4.0, 4.0), heading=(-3.0, 0.1))
@@ -65,8 +69,7 @@ def test_the_way_is_from_where_it_settled_and_means_are_over_episodes():
 
 
 def test_torques_by_hand():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=0.0)
+    env, meter = moving()
     for leg, wheel in ((2.0, 1.0), (-1.0, -1.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0)):
         env.step(meter, torque=((leg, wheel), (leg, wheel)))
     found = meter.figures()
@@ -76,8 +79,7 @@ def test_torques_by_hand():
 
 
 def test_torques_of_every_physics_step_count():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=0.0)
+    env, meter = moving()
     for _ in range(3):
         env.data.applied_torque = torch.full((2, 2), -1.0)
         for sensor in env.scene.sensors.values():
@@ -89,17 +91,15 @@ def test_torques_of_every_physics_step_count():
 
 
 def test_torques_too_small_to_have_a_sign_take_the_previous_sign():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=0.0)
+    env, meter = moving()
     for leg in (1.0, -0.001, 1.0, -0.001):
         env.step(meter, torque=((leg, 0.0),) * 2)
     assert meter.figures().sign_changes_per_s["leg"] == 0.0
 
 
 def test_what_only_swings_the_armature_is_no_power():
-    env = FakeEnv()
-    env.data.joint_armature = torch.full((2, 2), 0.5)
-    meter = MotionMeter(env, settle_s=0.0)
+    env, meter = moving()
+    env.data.joint_armature[:] = 0.5
     env.step(meter, torque=((2.0, 2.0),) * 2, speed=2.0)
     assert meter.figures().power_net_w == pytest.approx(0.0, abs=1e-6)
     env.step(meter, torque=((3.0, 0.0),) * 2, speed=2.0)
@@ -107,16 +107,14 @@ def test_what_only_swings_the_armature_is_no_power():
 
 
 def test_actions_change_by_their_mean_size_and_not_at_the_beginning():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=STEP)
+    env, meter = moving(STEP)
     for action in (8.0, 1.0, 0.0, 4.0):
         env.step(meter, action=action)
     assert meter.figures().action_rate_per_s == pytest.approx((1.0 + 4.0) / 2 / STEP)
 
 
 def test_second_episodes_do_not_count():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=0.0)
+    env, meter = moving()
     env.step(meter, torque=((1.0, 1.0),) * 2, done=(0, 1))
     first = meter.figures()
     env.step(meter, place=(9.0, 9.0), torque=((2.0, 2.0),) * 2, action=5.0)
@@ -124,8 +122,7 @@ def test_second_episodes_do_not_count():
 
 
 def test_nobody_who_settled_gives_no_figures():
-    env = FakeEnv()
-    meter = MotionMeter(env, settle_s=9.0)
+    env, meter = moving(9.0)
     env.step(meter)
     assert all(value in (None, {}) for value in vars(meter.figures()).values())
 

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import socket
 import sys
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 import yaml
 
 from jobs.small import refused, succeed, wheelleg
+from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.jobs.drive.drive_controls import Choose, Finish, Push
+from wheelleg_exp.jobs.drive.drive_page import require_free
 from wheelleg_exp.jobs.drive.run_drive import DriveRequest, RealTimePacer, drivable, drive, policies
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -185,3 +188,28 @@ def test_steps_are_as_far_apart_as_they_last_and_a_slow_machine_is_not_chased():
     assert (sum(slept[2:]), [pace.is_frame_due(), pace.is_frame_due()]) == (pytest.approx(0.1, abs=0.03), [True, False])
     now[0] += 0.05
     assert pace.is_frame_due()
+
+
+@pytest.fixture
+def busy():
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield listening.getsockname()[1]
+
+
+def test_a_port_in_use_is_reported_with_other_ports(busy):
+    with pytest.raises(WheellegError, match=rf"^--port: port {busy}, for the page, is in use; .* or --port 0"):
+        require_free(busy, "the page")
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_an_invalid_port_is_rejected(port):
+    with pytest.raises(WheellegError, match=f"the port {port} for the page is not a valid TCP port"):
+        require_free(port, "the page")
+
+
+@pytest.mark.train
+def test_the_port_of_the_keys_is_the_one_after_the_pages(run, busy):
+    said = refused("play", "latest", "--drive", "--port", str(busy - 1), "env.commands.base_velocity.ranges={}")
+    assert f"port {busy}, for the page's keys and gamepads, is in use" in said
