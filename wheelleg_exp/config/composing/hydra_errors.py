@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import yaml
 from hydra.core.config_loader import ConfigLoader
@@ -18,14 +17,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from wheelleg_exp.config import tree_lookup as lookup
+from wheelleg_exp.config.composing.provenance import Composition, ReadFiles
 from wheelleg_exp.config.config_errors import AbsentKey
 from wheelleg_exp.config.key_slots import is_settable
 from wheelleg_exp.errors import ConfigError, nearest_name, not_one_of
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
-
-if TYPE_CHECKING:
-    from wheelleg_exp.config.composing.config_loader import Loader, Repository
 
 # Hydra and OmegaConf raise `COMPOSING_ERRORS` for invalid configs, such as RecursionError for cyclic defaults lists.
 COMPOSING_ERRORS = (HydraException, OmegaConfBaseException, ValueError, RecursionError, AssertionError)
@@ -41,7 +38,7 @@ def where_of(override: Override) -> str:
     return f"override {override.input_line}"
 
 
-def option_problems(loader: Loader, override: Override) -> list[ConfigError]:
+def option_problems(loader: Composition, override: Override) -> list[ConfigError]:
     """Return the errors of an override that selects an option, or a config group, that does not exist."""
     group, value, key, where = override.key_or_group, override.value(), name_of(override), where_of(override)
     repository = loader.repository_used
@@ -60,7 +57,7 @@ def option_problems(loader: Loader, override: Override) -> list[ConfigError]:
     return [_no_option(key, name, options, where) for name in wrong]
 
 
-def missing_option(loader: Loader, path: str, parent: str) -> ConfigError | None:
+def missing_option(loader: Composition, path: str, parent: str) -> ConfigError | None:
     """Return the error for an option without a file, selected by the config ``parent``; None for an optional entry."""
     group, _, name = path.rpartition("/")
     repository = loader.repository_used
@@ -76,7 +73,7 @@ def missing_option(loader: Loader, path: str, parent: str) -> ConfigError | None
     return _no_option(group or path, name, repository.get_group_options(group), where)
 
 
-def _no_group(loader: Loader, group: str, where: str | None) -> ConfigError:
+def _no_group(loader: Composition, group: str, where: str | None) -> ConfigError:
     return not_one_of(f"there is no config group '{group}'", group, loader.groups(), key=group, where=where)
 
 
@@ -91,13 +88,13 @@ def _no_option(key: str, name: str, options: Sequence[str], where: str | None) -
     return not_one_of(f"'{name}' is not an option", name, options, key=key, where=where)
 
 
-def place_of_option(repository: Repository, parent: str, path: str) -> str | None:
+def place_of_option(repository: ReadFiles, parent: str, path: str) -> str | None:
     """Return the file and line at which a config's defaults list names the option ``path``, or None."""
     loaded = repository.loaded.get(parent)
     return show_file(loaded.file, _defaults_line(loaded.file, path)) if loaded is not None else None
 
 
-def parent_of(repository: Repository, path: str) -> str | None:
+def parent_of(repository: ReadFiles, path: str) -> str | None:
     """Return the name of the first config whose defaults list names the option ``path``, or None."""
     return next((name for name, loaded in repository.loaded.items() if _defaults_line(loaded.file, path)), None)
 
@@ -119,7 +116,7 @@ def _defaults_line(file: Path, path: str) -> int | None:
     return lookup.scalar_line(file, name, path, f"/{path}")
 
 
-def defaults_problem(problem: Exception, loader: Loader, primary: str) -> ConfigError:
+def defaults_problem(problem: Exception, loader: Composition, primary: str) -> ConfigError:
     """Return the error for an exception that Hydra raised while it collected the defaults lists of all files."""
     text, parsed = str(problem), loader.overrides
     if isinstance(problem, MissingConfigException):
@@ -171,7 +168,7 @@ def defaults_problem(problem: Exception, loader: Loader, primary: str) -> Config
     return NowhereMounted(message, key=key, where=where, expected=expected, nearest=nearest)
 
 
-def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) -> ConfigError:
+def _chosen_twice(key: str, repository: ReadFiles, parsed: Sequence[Override]) -> ConfigError:
     message = "an option of this group is selected already"
     culprit = next((o for o in parsed if o.is_add() and name_of(o) == key), None)
     if culprit is not None:
@@ -184,14 +181,14 @@ def _chosen_twice(key: str, repository: Repository, parsed: Sequence[Override]) 
     return ConfigError(message, key=key, where=where, expected=f"- override /{key}: {option}, after the other entries")
 
 
-def _entries(repository: Repository) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
+def _entries(repository: ReadFiles) -> Iterator[tuple[Path, lookup.DefaultsEntry]]:
     """Yield each entry of the defaults lists of all config files except the primary config, with the entry's file."""
     for path, loaded in repository.loaded.items():
         if "/" in path:
             yield from ((loaded.file, entry) for entry in lookup.defaults_entries(loaded.file))
 
 
-def mounted_names(repository: Repository) -> list[str]:
+def mounted_names(repository: ReadFiles) -> list[str]:
     """Return the names of the config groups that files select, such as ``reward@env.rewards``."""
     entries = (entry for loaded in repository.loaded.values() for entry in lookup.defaults_entries(loaded.file))
     return list(dict.fromkeys(entry.key.lstrip("/") for entry in entries if not entry.override))
@@ -207,7 +204,7 @@ def flat(error: BaseException) -> str:
 _FORMS = "key=value, +key=value, ++key=value or ~key"
 
 
-def merge_problem(problem: Exception, repository: Repository) -> ConfigError:
+def merge_problem(problem: Exception, repository: ReadFiles) -> ConfigError:
     """Return the error for a config file that Hydra cannot merge with the files before it in the defaults lists."""
     text = str(problem)
     match, full = _IN_FILE.match(text), re.search(r"full_key: (\S+)", text)
@@ -218,7 +215,7 @@ def merge_problem(problem: Exception, repository: Repository) -> ConfigError:
     return ConfigError(message, key=key, where=show_file(loaded.file, line) if loaded else None)
 
 
-def _circle(used: Repository, primary: str) -> ConfigError:
+def _circle(used: ReadFiles, primary: str) -> ConfigError:
     below: dict[str, set[str]] = {}
     for path, loaded in used.loaded.items():
         folder = path.rpartition("/")[0]

@@ -11,14 +11,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
+
+from hydra.core.override_parser.types import Override
 
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table
 from wheelleg_exp.paths import show_file
 from wheelleg_exp.terms.key_syntax import Keys, dotted, split_path
-
-if TYPE_CHECKING:
-    from wheelleg_exp.config.composing.config_loader import Loader
 
 MISSING = "???"
 
@@ -223,7 +222,33 @@ class Mount:
         return "@" in self.name or any(isinstance(choice.value, list) for choice in self.choices)
 
 
-def find_mounts(loader: Loader) -> list[Mount]:
+class ReadFiles(Protocol):
+    """The config files that were read, and the config groups in all config folders."""
+
+    loaded: dict[str, ConfigFile]
+
+    def group_exists(self, config_path: str) -> bool: ...
+
+    def config_exists(self, config_path: str) -> bool: ...
+
+    def get_group_options(self, group_name: str) -> list[str]: ...
+
+
+class Composition(Protocol):
+    """What ``config_loader.Loader`` has read: overrides, files, and config groups."""
+
+    overrides: list[Override]
+    files: list[ConfigFile]
+
+    @property
+    def repository_used(self) -> ReadFiles: ...
+
+    def groups(self) -> list[str]: ...
+
+    def options(self, group: str) -> list[str]: ...
+
+
+def find_mounts(loader: Composition) -> list[Mount]:
     """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
     mounts = []
     for name, choices in _choices_by_mount(loader).items():
@@ -239,7 +264,7 @@ def find_mounts(loader: Loader) -> list[Mount]:
     return mounts
 
 
-def _choices_by_mount(loader: Loader) -> dict[str, list[Choice]]:
+def _choices_by_mount(loader: Composition) -> dict[str, list[Choice]]:
     """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
