@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 
@@ -40,7 +41,7 @@ class HistoryBuffer(Stateful):
             after[first] = newest[first]
         return after
 
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         self.samples = saved["samples"].clone()  # Histories that were already returned must not change.
 
 
@@ -105,7 +106,7 @@ class RowHistoryPart(Stateful):
     def state_dict(self) -> dict[str, object]:
         return {"samples": self.samples.contiguous().clone()}
 
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         self._row.values = self._row.values.clone()  # Histories that were already returned must not change.
         self._row.values[:, self._span] = saved["samples"].flatten(1)
 

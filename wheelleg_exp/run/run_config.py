@@ -109,7 +109,7 @@ _NO_DEFAULT = object()
 _FORBIDDEN = re.compile(r"\s*(-|[+~]*\s*hydra\b)|.*\$\{.*:", re.DOTALL)
 
 
-def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, object]:
+def recorded_config(directory: os.PathLike[str], variables: Mapping[str, str]) -> dict[str, Any]:
     """Return the resolved config sections ``SECTIONS`` of a run; use only the given environment variables."""
     path = Path(directory) / CONFIG
     tree = read_yaml(path)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from typing import Any
 
 import mujoco
 import torch
@@ -207,7 +208,7 @@ class Robot(Stateful):
     def state_dict(self) -> dict[str, object]:
         return {**super().state_dict(), "stale": self._stale_rows()}
 
-    def load_state_dict(self, saved: Mapping[str, torch.Tensor]) -> None:
+    def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         super().load_state_dict(saved)
         self._has_new_targets = True
         ids = ids_where(saved["stale"])
