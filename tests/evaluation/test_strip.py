@@ -143,9 +143,7 @@ def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
 
 def test_steps_are_three_halves_of_a_wheels_radius_high_at_most():
     made = tiles(Terrain(**protocol("steps")["terrain"]), seed=3)
-    heights = {
-        name: node.get("step_height_range") or node.get("box_height_range")
-        for name, node in made["sub_terrains"].items()
-    }
+    kinds = made["sub_terrains"].items()
+    heights = {name: node.get("step_height_range") or node.get("box_height_range") for name, node in kinds}
     assert heights == {name: [0.005, 0.03] for name in ("stairs", "stairs_inverted", "step", "step_inverted")}
     assert made["size"] == [4.0, 4.0]

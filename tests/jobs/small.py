@@ -30,13 +30,8 @@ TINY = [
     "agent.critic.hidden_dims=[16,8]",
     "agent.algorithm.num_learning_epochs=2",
 ]
-SMALL = [
-    *TINY,
-    f"agent.max_iterations={ITERATIONS}",
-    "agent.save_interval=1",
-    "recording.interval=2",
-    "recording.steps=30",
-]
+SMALL = [*TINY, f"agent.max_iterations={ITERATIONS}", "agent.save_interval=1"]
+SMALL += ["recording.interval=2", "recording.steps=30"]
 
 
 @dataclass(frozen=True)

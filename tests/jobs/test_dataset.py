@@ -16,9 +16,8 @@ from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.run.run_directory import RunDirectory
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
-RECORDERS = (
-    "+recorder@env.recorders=[initial_state,post_step_states,pre_step_actions,pre_step_flat_policy_observations]"
-)
+TERMS = "initial_state,post_step_states,pre_step_actions,pre_step_flat_policy_observations"
+RECORDERS = f"+recorder@env.recorders=[{TERMS}]"
 
 
 def episodes(path: Path):

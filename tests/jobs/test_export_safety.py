@@ -253,11 +253,8 @@ def boundaries(spec: dict) -> Iterator[tuple[str, list[tuple[int, int, dict]], l
             inside, beyond = up_to(sign * limit, 0.0 if limit == 0.5 else sign * np.inf)
             for value, status in ((inside, OK), (beyond, HELD)):
                 changed = {name: {column: value}}
-                yield (
-                    f"{name} {value!r}",
-                    [(TICK, 0, changed), (TICK, 0, changed if status == OK else {})],
-                    [status, OK],
-                )
+                after = changed if status == OK else {}
+                yield f"{name} {value!r}", [(TICK, 0, changed), (TICK, 0, after)], [status, OK]
     for side in ("low", "high"):  # A joint moves to its last plausible position, and one float further.
         inside, beyond = up_to(rules["readings"]["joint_pos"][side][0], np.inf if side == "high" else -np.inf)
         way = np.linspace(spec["default_joint_pos"][0], inside, 30, dtype=np.float32)
@@ -441,9 +438,8 @@ def test_the_example_prints_the_log_of_the_runner(builder, bundle, tmp_path):
         wanted = list(csv.reader(file))
     assert found[0] == wanted[0][:-1]
     assert wanted[0][-1] == "reset"
-    assert {"time", "joint_pos.l01", "base_ang_vel.x", "commands.base_velocity.0", "target_velocity.r03"} < set(
-        found[0]
-    )
+    columns = {"time", "joint_pos.l01", "base_ang_vel.x", "commands.base_velocity.0", "target_velocity.r03"}
+    assert columns < set(found[0])
     assert [row[-1] for row in wanted[1:]] == ["1"] + ["0"] * (len(wanted) - 2)
     np.testing.assert_allclose(np.array(found[1:], float), np.array(wanted[1:], float)[:, :-1], rtol=1e-5, atol=1e-5)
     statuses = [int(row[found[0].index("status")]) for row in found[1:]]

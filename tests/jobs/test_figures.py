@@ -22,9 +22,8 @@ class FakeEnv:
         self.episode_length_buf = torch.zeros(3, dtype=torch.long)
         self.reward_buf = torch.zeros(3)
         self.data = SimpleNamespace(root_pos_w=torch.zeros(3, 3), projected_gravity_b=torch.zeros(3, 3))
-        self.sensor = SimpleNamespace(
-            body_names=["wheel", "leg"], data=SimpleNamespace(net_forces_w=torch.zeros(3, 2, 3))
-        )
+        forces = SimpleNamespace(net_forces_w=torch.zeros(3, 2, 3))
+        self.sensor = SimpleNamespace(body_names=["wheel", "leg"], data=forces)
         self.scene = _Scene(contact_forces=self.sensor)
         self.scene.robot = SimpleNamespace(data=self.data)
         self.termination_manager = SimpleNamespace(active_terms=("time_out", "fell"), endings=self.endings)

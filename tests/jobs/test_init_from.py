@@ -166,11 +166,8 @@ def test_settings_that_do_not_fit_the_networks_are_named(trained: Trained, tmp_p
 
 
 def test_a_checkpoint_can_be_named_and_a_changed_meaning_at_the_same_place_is_reported(trained, tmp_path):
-    words = (
-        "agent.max_iterations=1",
-        "++env.observations.policy.terms.base_ang_vel.scale=0.5",
-        "env.robot.profile=heavy",
-    )
+    words = ["agent.max_iterations=1", "env.robot.profile=heavy"]
+    words.append("++env.observations.policy.terms.base_ang_vel.scale=0.5")
     found = succeed("train", *WORDS, f"init_from={trained.run.checkpoint(0)}", f"run.root={tmp_path}", *words)
     assert "note: env.observations.policy.terms.base_ang_vel.scale was 0.25 and is 0.5" in found.err
     assert "note: env.robot.profile was article and is heavy" in found.err

@@ -88,9 +88,8 @@ def test_leapp_gives_the_targets_of_the_runner_and_reads_what_the_tensors_are(tr
     about = hold_leapp(trained.run, tmp_path)
     inputs, outputs = ({p["name"]: p for p in about["models"]["policy"][way]} for way in ("inputs", "outputs"))
     kinds = {kind.value for enum in (leapp.InputKindEnum, leapp.OutputKindEnum) for kind in enum}
-    given = {
-        name: (inputs[name]["kind"], inputs[name]["element_names"][0]) for name in about["pipeline"]["inputs"]["policy"]
-    }
+    read = about["pipeline"]["inputs"]["policy"]
+    given = {name: (inputs[name]["kind"], inputs[name]["element_names"][0]) for name in read}
     assert {kind for kind, _ in given.values()} | {p["kind"] for p in outputs.values() if "kind" in p} <= kinds
     assert given["base_quat"] == ("state/body/rotation", ["x", "y", "z", "w"])
     assert given["joint_vel"] == ("state/joint/velocity", ["l01", "r01", "l02", "r02", "l03", "r03"])

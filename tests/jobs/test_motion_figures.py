@@ -23,10 +23,7 @@ class FakeEnv:
         self.data = SimpleNamespace(**{name: torch.zeros(2, 2) for name in names})
         self.data.joint_effort_limits = torch.tensor([[2.0, math.inf]] * 2)
         self.data.root_pos_w, self.data.heading_w = torch.zeros(2, 3), torch.zeros(2)
-        groups = {
-            "leg": SimpleNamespace(joint_ids=torch.tensor([0])),
-            "wheel": SimpleNamespace(joint_ids=torch.tensor([1])),
-        }
+        groups = {name: SimpleNamespace(joint_ids=torch.tensor([i])) for i, name in enumerate(("leg", "wheel"))}
         self.scene = SimpleNamespace(robot=SimpleNamespace(data=self.data, actuators=groups), sensors={})
         self.action_manager = SimpleNamespace(action=torch.zeros(2, 2), prev_action=torch.zeros(2, 2))
         self.termination_manager = SimpleNamespace(dones=torch.zeros(2, dtype=torch.bool))

@@ -105,9 +105,8 @@ def tree(**gate: Any) -> dict[str, Any]:
 def begin(root: Path, **gate: Any) -> PipelineIndex:
     declared, words = read_pipeline(tree(**gate)), [*WORDS, f"run.root={root}"]
     digests = {name: digest_of(phase) for name, phase in compose_phases(declared.phases, words).items()}
-    return PipelineIndex.create(
-        root, config=declared.tree, overrides=words, config_dirs=[], command=["wheelleg"], digests=digests
-    )
+    facts = {"config": declared.tree, "overrides": words, "config_dirs": [], "command": ["wheelleg"]}
+    return PipelineIndex.create(root, **facts, digests=digests)
 
 
 def run(index: PipelineIndex, values: list[float], stop_after: int | None = None, display: Quiet | None = None) -> str:

@@ -75,9 +75,8 @@ def test_figures_are_those_of_the_recorded_heights_and_pitches(run):
     settled = slice(6, None)
     assert (figures.episodes, figures.height_mean_m) == (1, pytest.approx(heights[settled].mean(), rel=1e-4))
     assert figures.height_rmse_m == pytest.approx(math.sqrt(((heights[settled] - 0.07) ** 2).mean()), rel=1e-4)
-    assert figures.pitch_rms_deg == pytest.approx(
-        math.degrees(math.sqrt((pitches[settled] ** 2).mean())), rel=1e-3, abs=1e-3
-    )
+    pitch_rms = math.sqrt((pitches[settled] ** 2).mean())
+    assert figures.pitch_rms_deg == pytest.approx(math.degrees(pitch_rms), rel=1e-3, abs=1e-3)
     total = recording.values("rewards/total").ravel() / 60
     assert (figures.mean_return, figures.survival) == (pytest.approx(total.sum(), rel=1e-4), float(len(heights) == 18))
     assert sum(figures.ended_by.values()) >= 1
@@ -158,11 +157,8 @@ def test_a_play_omits_the_training_disturbances_and_reports_it(run, conditions):
     text = Recording(done.recording).document("config")
     events = yaml.safe_load("\n".join(text.splitlines()[1:-1]))["env"]["events"]
     undisturbed = conditions == "undisturbed"
-    assert (content["conditions"], "push_robot" in events, "reset_base" in events) == (
-        conditions,
-        not undisturbed,
-        True,
-    )
+    assert (content["conditions"], "push_robot" in events) == (conditions, not undisturbed)
+    assert "reset_base" in events
     assert len([line for line in shown.notes if "play.conditions=training" in line]) == undisturbed
 
 

@@ -219,9 +219,7 @@ def launcher(request, tmp_path):
 def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launcher, stop, tmp_path, tmp_path_factory):
     jobs = [SMALL, [*SMALL, "agent.max_iterations=1000000", "agent.save_interval=1000000"]]
     index_ = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "x"}, jobs=[(w, []) for w in jobs])
-    requests = [
-        JobRequest("train", words, [], ["wheelleg", "train", *words], digest_of(compose(words))) for words in jobs
-    ]
+    requests = [JobRequest("train", w, [], ["wheelleg", "train", *w], digest_of(compose(w))) for w in jobs]
 
     def kill(job):
         if job["number"] == 2:

@@ -46,9 +46,8 @@ def place(trained, tmp_path_factory):
     (lab / "configs" / "task" / "lab_stand.yaml").write_text(PROJECT_TASK)
     (lab / "lab_terms" / "__init__.py").write_text("")
     commit(lab)
-    (lab / "lab_terms" / "__init__.py").write_text(
-        "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
-    )
+    text = "from replay_helper import FACTOR\n" + TERM.replace("1.25", "FACTOR")
+    (lab / "lab_terms" / "__init__.py").write_text(text)
     (helpers / "replay_helper.py").write_text("FACTOR = 1.25\n")
     commit(helpers)
     words = ("task=lab_stand", "run.name=first", f"init_from={copied(trained, place).path}")
@@ -258,9 +257,8 @@ def test_a_missing_commit_is_reported_with_the_remedy(run, tmp_path):
 def test_a_source_that_was_not_stored_is_reported(run, clone):
     change_record(run, patch=None, status="patch_too_large", note="the patch has 80 MB")
     change_manifest(run)
-    assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in refused(
-        run, "--repository", clone
-    )
+    said = refused(run, "--repository", clone)
+    assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in said
 
 
 def test_code_older_than_replays_is_reported(run, clones, tmp_path):

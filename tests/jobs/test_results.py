@@ -73,9 +73,8 @@ def once(monkeypatch, made_again):
         return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
 
     train = again_of._trained_run
-    monkeypatch.setattr(
-        again_of, "_trained_run", first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
-    )
+    trained = first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
+    monkeypatch.setattr(again_of, "_trained_run", trained)
     for name in ("evaluate_run", "evaluate_reference"):
         monkeypatch.setattr(again_of, name, first(name, getattr(again_of, name)))
 
