@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.run.run_directory import RunDirectory
 
 REFERENCE = "reference"
+Policy = tuple["RunDirectory", Path]  # A run and the checkpoint of its policy.
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -52,14 +53,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(frozen=True)
-class Policy:
-    """A run and the checkpoint of its policy."""
-
-    run: RunDirectory
-    checkpoint: Path
-
-
-@dataclass(frozen=True)
 class Evaluator:
     """Evaluates policies with the settings of a command line; ``stored`` uses evaluations that a run already has."""
 
@@ -68,11 +61,10 @@ class Evaluator:
     stored: bool
     progress: Progress
 
-    def policy(self, policy: Policy, overrides: Sequence[str]) -> Evaluated:
+    def policy(self, run: RunDirectory, checkpoint: Path, overrides: Sequence[str]) -> Evaluated:
         """Evaluate the policy of a run, or load the run's stored evaluation."""
         from wheelleg_exp.jobs import evaluate_policy as jobs
 
-        run, checkpoint = policy.run, policy.checkpoint
         if self.stored:
             from wheelleg_exp.files import sha256
             from wheelleg_exp.jobs.saved_evaluation import read_content, read_evaluation
@@ -104,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         groups = [(policies, overrides), (others, overrides)]
         groups = [(policies, [*overrides, f"env.sim.engine={name}"]) for name in engines] or groups
-        made, against = ([evaluator.policy(one, words) for one in group] for group, words in groups)
+        made, against = ([evaluator.policy(*one, words) for one in group] for group, words in groups)
         if args.reference or REFERENCE in args.against:
             reference = evaluator.reference(made[0], overrides)
             against = [reference] if REFERENCE in args.against else against
@@ -184,14 +176,14 @@ def found(names: Sequence[str], root: Path, checkpoint: str | None = None) -> li
         if directory in runs[:index]:
             message = f"run '{directory.id}' is named twice, and would count as two trainings"
             raise WheellegError(message, key="RUN", expected="each run once")
-    return [Policy(run, chosen_checkpoint(run, checkpoint)) for run in runs]
+    return [(run, chosen_checkpoint(run, checkpoint)) for run in runs]
 
 
 def _require_one_robot(chosen: Sequence[Policy], key: str) -> None:
     """Raise WheellegError if runs whose mean is printed were trained with different files of a robot."""
     from wheelleg_exp.run.run_config import recorded_robot
 
-    for policy in chosen[1:]:
-        if recorded_robot(policy.run).sources != recorded_robot(first := chosen[0].run).sources:
-            message = f"the runs '{first.id}' and '{policy.run.id}' have different robots, so no mean of both is useful"
+    for run, _ in chosen[1:]:
+        if recorded_robot(run).sources != recorded_robot(first := chosen[0][0]).sources:
+            message = f"the runs '{first.id}' and '{run.id}' have different robots, so no mean of both is useful"
             raise WheellegError(message, key=key, expected="trainings of one robot with different seeds")

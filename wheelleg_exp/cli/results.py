@@ -57,10 +57,10 @@ def _write(args: argparse.Namespace) -> int:
         expected = "another name, or --replace, which removes the old page and its manifests"
         raise WheellegError("there is a result of this name", key=shown(path.absolute()), expected=expected)
     chosen = found(names, args.root)
-    require_one_method([one.run for one in chosen])  # Raise an error for a run that cannot be reproduced.
+    require_one_method([run for run, _ in chosen])  # Raise an error for a run that cannot be reproduced.
     with ConsoleDisplay(quiet=True) as display:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
-        made = [evaluator.policy(one, words) for one in chosen]
+        made = [evaluator.policy(*one, words) for one in chosen]
         reference = evaluator.reference(made[0], words) if args.reference else None
     compared = compare(made, [] if reference is None else [reference], reference, args.command, args.name)
     for path in write_results(args.name, args.into, compared, made, reference, words):
