@@ -13,14 +13,11 @@ class AsyncMaskQuery:
     """Converts GPU masks (N,) of ended and failed environments to indices, with asynchronous copies to the host.
 
     In each control step, callers must call ``start``, then ``ids``, then ``late``.
-
-    Attributes:
-        answers_late: whether the method ``ids`` can omit failed environments, which ``late`` returns; True on a GPU.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
         self._device, on_gpu = device, device.type == "cuda"
-        self.answers_late = on_gpu
+        self.answers_late = on_gpu  # whether ``ids`` can omit failed environments, which ``late`` returns
         with torch.inference_mode(False):
             self._masks = torch.zeros(3, count, dtype=torch.bool, device="cpu", pin_memory=on_gpu)
             self._ids = torch.empty(4, count if on_gpu else 0, dtype=torch.long, device="cpu", pin_memory=on_gpu)

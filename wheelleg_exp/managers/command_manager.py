@@ -20,16 +20,14 @@ from wheelleg_exp.terms.term_errors import described
 class CommandTerm(TermBase):
     """Base class of command terms, with a resampling timer and metrics of the command's tracking error.
 
-    A command's metric is the sum of ``tracking error * dt`` over an episode, divided by the longest resampling time. If
-    ``logs_last_error`` is True, a command's metric is the tracking error at the end of an episode. ``draws`` is False
-    in control steps in which no timer can expire.
+    A metric is the sum of ``tracking error * dt`` over an episode, divided by the longest resampling time.
 
     Args:
         resampling_time_range: shortest and longest time between two draws, s.
         metric_names: names of the M metrics.
     """
 
-    logs_last_error: ClassVar[bool] = False
+    logs_last_error: ClassVar[bool] = False  # whether a metric is only the tracking error at the end of an episode
 
     def __init__(
         self, env: Env, resampling_time_range: PositiveInterval, metric_names: Sequence[str], generator: torch.Generator
@@ -44,7 +42,7 @@ class CommandTerm(TermBase):
         self.steps = self.buffer("steps", torch.zeros(n, device=device))
         self.time_left = self.buffer("time_left", torch.zeros(n, device=device))
         self.command_counter = self.buffer("command_counter", torch.zeros(n, dtype=torch.long, device=device))
-        self.draws = self.number("draws", True, saved=False)
+        self.draws = self.number("draws", True, saved=False)  # whether a timer can expire in this control step
 
     @property
     def command(self) -> torch.Tensor:

@@ -69,29 +69,20 @@ class ManagerTermBase(OfEnv, TermBase):
 
 @dataclass
 class Term(Stateful):
-    """A manager term; the manager calls a function as ``func(env, **params)``, and an object as ``func(env)``.
-
-    Attributes:
-        path: the config key of the term.
-        target: dotted name of the function or class.
-        params: the keyword arguments of every call; empty for term objects.
-        fields: the settings that the manager reads.
-        arguments: the constructor arguments of a term object; ``take_arguments`` applies changes of them.
-        generator: the random stream of the term, if it draws.
-        form: the required form of the return value, if any.
-        lends: whether torch's global generator is this stream while the term runs, for code written for Isaac Lab.
-    """
+    """A manager term; the manager calls a function as ``func(env, **params)``, and an object as ``func(env)``."""
 
     name: str
-    path: str
-    target: str
+    path: str  # the config key of the term
+    target: str  # dotted name of the function or class
     func: Callable[..., Any]
-    params: dict[str, Any] = field(default_factory=dict)
-    fields: dict[str, Any] = field(default_factory=dict)
+    params: dict[str, Any] = field(default_factory=dict)  # keyword arguments of every call; empty for term objects
+    fields: dict[str, Any] = field(default_factory=dict)  # the settings that the manager reads
+    # The constructor arguments of a term object; ``take_arguments`` applies changes of them.
     arguments: dict[str, Any] = field(default_factory=dict)
-    generator: torch.Generator | None = None
+    generator: torch.Generator | None = None  # the random stream of the term, if it draws
     settings: Settings | None = field(default=None, init=False)
-    form: Form | None = field(default=None, init=False)
+    form: Form | None = field(default=None, init=False)  # the required form of the return value, if any
+    # Whether torch's global generator is this stream while the term runs, for code written for Isaac Lab.
     lends: bool = field(default=False, init=False)
     _has_worked: bool = field(default=False, init=False)
     # ``_make`` makes the object from ``arguments``; it is None if the parameters are passed to each call instead.

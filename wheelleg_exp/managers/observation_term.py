@@ -197,19 +197,12 @@ Group = torch.Tensor | dict[str, torch.Tensor]
 
 
 class GroupLayout:
-    """Joins the observations of a group's terms, and splits the joined observation.
-
-    Attributes:
-        concatenated: whether the group is one tensor.
-        by_time: whether histories are ordered by step, oldest first, and by term within a step; otherwise by term.
-        shape: shape of one environment's observation; one shape for each term if the terms are not joined.
-        parts: slices of each term along the joined dimension: one, or with ``by_time`` one for each step.
-    """
+    """Joins the observations of a group's terms, and splits the joined observation."""
 
     def __init__(self, terms: Mapping[str, ObservationTerm], options: GroupOptions, path: str) -> None:
         shapes = {name: term.shape for name, term in terms.items()}
-        self.concatenated = options.concatenate_terms
-        self.by_time = options.history_order == "time"
+        self.concatenated = options.concatenate_terms  # whether the group is one tensor
+        self.by_time = options.history_order == "time"  # whether histories are ordered by step and then by term
         self._dim = options.concatenate_dim
         if self.by_time:
             plain = all(len(term.shape) == len(term.sample_shape) == 1 for term in terms.values())
@@ -220,6 +213,7 @@ class GroupLayout:
                 expected += "and one history_length of at least 1 for vectors"
                 raise ConfigError(message, key=key, expected=expected)
         if not self.concatenated:
+            # One shape for each term, or one shape for the joined observation.
             self.shape: tuple[int, ...] | list[tuple[int, ...]] = list(shapes.values())
             return
         _require_joinable(shapes, self._dim, path)
@@ -228,6 +222,7 @@ class GroupLayout:
         first[self._dim] = sum(widths.values())
         self.shape = tuple(first)
         steps = next(iter(terms.values())).history_length if self.by_time else 1
+        # Slices of each term along the joined dimension: one, or with ``by_time`` one for each step.
         self.parts: dict[str, list[slice]] = {name: [] for name in widths}
         start = 0
         for _ in range(steps):

@@ -81,12 +81,9 @@ class RecorderTerm(TermBase):
     A recorder's hook returns a key and a tensor with one row for each environment, or a key and a mapping of tensors.
     For example, the key ``a`` with the mapping ``{"b": tensor}`` records the tensor as ``a/b``. A hook returns (None,
     None) if it records nothing.
-
-    Attributes:
-        reads_observations: whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before the
-            resets, without noise.
     """
 
+    # Whether ``record_post_step`` reads ``obs_buf``, which then holds the observations before resets, without noise.
     reads_observations: ClassVar[bool] = True
 
     def __init__(self, env: Env) -> None:

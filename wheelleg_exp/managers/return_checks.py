@@ -35,22 +35,14 @@ def require_form(form: Form, value: object, source: str, path: str, code: object
 
 @dataclass
 class TensorForm:
-    """Requires that a term returns a tensor with one row for each environment.
+    """Requires that a term returns a tensor with one row for each environment."""
 
-    Attributes:
-        rows: number of environments, N.
-        dtype: type of the elements; None allows any real type.
-        width: the required width, None for the shape (N,), 0 for (N, width) with any constant width.
-        deep: whether a row may have further dimensions, as images do.
-        what: description of one row.
-    """
-
-    rows: int
+    rows: int  # number of environments, N
     device: torch.device
-    dtype: torch.dtype | None = None
-    width: int | None = None
-    what: str = "number"
-    deep: bool = False
+    dtype: torch.dtype | None = None  # type of the elements; None allows any real type
+    width: int | None = None  # None for the shape (N,), 0 for (N, width) with any constant width
+    what: str = "number"  # description of one row
+    deep: bool = False  # whether a row may have further dimensions, as images do
     _shape: torch.Size | None = field(default=None, init=False)
 
     @property

@@ -20,38 +20,23 @@ if TYPE_CHECKING:
 
 
 class Env(Protocol):
-    """The environment, with the attributes that manager terms can use.
+    """The environment, with the attributes that manager terms can use."""
 
-    Attributes:
-        cfg: the config section ``env``, by attribute or key.
-        options: the config section ``env``, with a type for each key.
-        num_envs: number of environments, N.
-        exact_envs: the environments 0 to ``exact_envs`` - 1 have none of the errors of ``env.realism``.
-        prompt_envs: the environments 0 to ``prompt_envs`` - 1 have no delay of the actions.
-        physics_dt: physics step, s.
-        step_dt: control step, s.
-        max_episode_length_s: longest episode, s.
-        max_episode_length: longest episode, control steps.
-        episode_length_buf: control steps of each present episode, (N,) long.
-        common_step_counter: control steps since construction.
-        observers: functions called in every step after the rewards and before the resets.
-    """
-
-    cfg: Any
-    options: EnvOptions
-    num_envs: int
-    exact_envs: int
-    prompt_envs: int
+    cfg: Any  # the config section ``env``, by attribute or key
+    options: EnvOptions  # the config section ``env``, with a type for each key
+    num_envs: int  # number of environments, N
+    exact_envs: int  # The environments 0 to ``exact_envs`` - 1 have none of the errors of ``env.realism``.
+    prompt_envs: int  # The environments 0 to ``prompt_envs`` - 1 have no delay of the actions.
     device: torch.device
-    physics_dt: float
-    step_dt: float
-    max_episode_length_s: float
-    max_episode_length: int
-    episode_length_buf: torch.Tensor
-    common_step_counter: int
+    physics_dt: float  # physics step, s
+    step_dt: float  # control step, s
+    max_episode_length_s: float  # longest episode, s
+    max_episode_length: int  # longest episode, control steps
+    episode_length_buf: torch.Tensor  # control steps of each present episode, (N,) long
+    common_step_counter: int  # control steps since construction
     scene: Scene
     streams: Streams
-    observers: list[Callable[[], None]]
+    observers: list[Callable[[], None]]  # called in every step after the rewards and before the resets
     command_manager: managers.CommandManager
     action_manager: managers.ActionManager
     observation_manager: managers.ObservationManager

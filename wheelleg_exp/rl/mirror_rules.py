@@ -170,10 +170,8 @@ class TermMirror:
     def frame(self, rule: Rule, term: ObservationTerm) -> SignedSources:
         """Return ``(source, sign)`` for each mirrored value of an observation: ``sign`` times the value ``source``."""
         path = term.term.path
-        if not isinstance(rule, str):
-            return [(i, float(sign)) for i, sign in enumerate(rule)]
-        if rule in SIGNS:
-            return [(i, float(sign)) for i, sign in enumerate(SIGNS[rule])]
+        if not isinstance(rule, str) or rule in SIGNS:
+            return [(i, float(sign)) for i, sign in enumerate(SIGNS[rule] if isinstance(rule, str) else rule)]
         if rule == "invariant":
             return [(i, 1.0) for i in range(term.width)]
         if rule == "phases":

@@ -23,15 +23,11 @@ _INPUTS = {"mlp.0.weight": 0.0, "obs_normalizer._mean": 0.0, "obs_normalizer._va
 
 @dataclass(frozen=True)
 class Initial:
-    """Networks from a checkpoint, with which a training starts instead of random networks.
+    """Networks from a checkpoint, with which a training starts instead of random networks."""
 
-    ``parts`` are the parts of the checkpoint ``state`` to load: ``actor``, ``critic``, ``optimizer``. ``facts``
-    describe the checkpoint's origin.
-    """
-
-    state: Mapping[str, Any]
-    parts: tuple[str, ...]
-    facts: Mapping[str, Any]
+    state: Mapping[str, Any]  # the checkpoint
+    parts: tuple[str, ...]  # the parts of the checkpoint to load: ``actor``, ``critic``, ``optimizer``
+    facts: Mapping[str, Any]  # the checkpoint's origin
 
 
 def load_teacher(algorithm: Distillation, state: Mapping[str, object]) -> None:

@@ -83,15 +83,12 @@ _PATIENCE = timedelta(minutes=30)
 
 @dataclass(frozen=True)
 class Ranks:
-    """One of the processes (ranks) that train one policy together. A process that trains alone is rank 0 of 1.
+    """One of the processes (ranks) that train one policy together. A process that trains alone is rank 0 of 1."""
 
-    ``rank`` is the number of this process among ``size``, and ``local`` its number among ``locals`` on its machine.
-    """
-
-    rank: int = 0
-    size: int = 1
-    local: int = 0
-    locals: int = 1
+    rank: int = 0  # number of this process
+    size: int = 1  # number of processes
+    local: int = 0  # number of this process on its machine
+    locals: int = 1  # number of processes on this machine
 
     @property
     def first(self) -> bool:

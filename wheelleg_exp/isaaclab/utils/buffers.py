@@ -12,14 +12,9 @@ Ids = Sequence[int] | torch.Tensor | None
 
 
 class CircularBuffer(Stateful):
-    """The last ``max_len`` samples of each environment.
+    """The last ``max_len`` samples of each of N = ``batch_size`` environments.
 
     The first sample after a reset also fills the places of all older samples of its environment.
-
-    Args:
-        max_len: number of stored samples.
-        batch_size: number of environments, N.
-        device: device of the samples.
     """
 
     def __init__(self, max_len: int, batch_size: int, device: torch.device | str) -> None:
@@ -78,12 +73,9 @@ class CircularBuffer(Stateful):
 
 
 class DelayBuffer(Stateful):
-    """A buffer that returns delayed samples. Each environment has its own delay, at first 0.
+    """A buffer that returns delayed samples of N = ``batch_size`` environments.
 
-    Args:
-        history_length: longest delay, in calls of ``compute``.
-        batch_size: number of environments, N.
-        device: device of the samples.
+    Each environment has its own delay, at first 0, and at most ``history_length`` calls of ``compute``.
     """
 
     def __init__(self, history_length: int, batch_size: int, device: torch.device | str) -> None:
