@@ -73,7 +73,6 @@ def make(make_env):
 def _rollout(env, steps, start=0):
     """Return the results of all steps."""
     out = []
-    out = []
     for k in range(start, start + steps):
         action = torch.randn(env.num_envs, 4, generator=torch.Generator().manual_seed(k))
         obs, reward, terminated, time_outs, extras = env.step(action)

@@ -55,15 +55,6 @@ def test_terms_that_read_such_a_state_are_not_named(start_env):
     assert extras["non_finite"]["evidence"]["qvel"].isnan().all()
 
 
-def test_an_action_that_is_not_finite_is_named_as_the_cause(start_env):
-    env, action = start_env(), STILL.clone()
-    action[3, 2] = math.nan
-    observations, reward, terminated, _, extras = env.step(action)
-    assert _keys(extras) == {3: ["env.actions"]}
-    assert terminated.tolist() == [False, False, False, True]
-    assert all(numbers.isfinite().all() for numbers in (observations["policy"], reward))
-
-
 @pytest.mark.parametrize("size", [1e7, 1e25, math.nan])
 def test_a_reward_that_overflows_because_of_the_actions_is_not_the_cause(start_env, size):
     spies.VALUES["power"] = lambda env: env.action_manager.action[:, 0] ** 8

@@ -103,14 +103,3 @@ def test_materials_masses_and_wrenches_match_the_article(env):
     assert wrench[..., 0].abs().max() <= 0.2
     assert wrench[..., 1].abs().max() <= 0.005
     assert (env.scene.robot._wrench[:, 1:] == 0).all()
-
-
-def test_relative_wheel_positions_run():
-    overrides = ["env.num_envs=2", "env.sim.nthread=1", "action@env.actions=[leg_pos,wheel_rel_pos]"]
-    config = compose(["task=stand", *overrides, "env.robot.actuators.wheels.stiffness=1.0"]).config["env"]
-    env = ManagerBasedRLEnv(config, ASSETS / "legged.xml", 0)
-    env.reset()
-    before = env.scene.robot.data.joint_pos[:, 4:].clone()
-    for _ in range(10):
-        env.step(torch.tensor([[0.0, 0.0, 0.0, 0.0, 1.0, 1.0]] * 2))
-    assert (env.scene.robot.data.joint_pos[:, 4:] > before).all()

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-import yaml
 from asset.corpus import ABSENT, VARIABLE, corpus_folder
 from jobs.small import TINY, cache_of, wheelleg
 
@@ -72,16 +71,6 @@ def test_an_example_is_yaml_and_its_description_alone(folder):
     assert {path.suffix for path in files} == {".yaml", ".md"}
     assert Path("README.md") in files
     assert list((folder / "task").glob("*.yaml"))
-
-
-@every_task
-def test_an_example_composes_without_its_robot(folder, task, monkeypatch):
-    monkeypatch.delenv(VARIABLE, raising=False)
-    said = wheelleg("compose", "--config-dir", folder, "--resolve", f"task={task}")
-    assert said.status == 0, said.err
-    config = yaml.safe_load(said.out)
-    assert config["task"]["name"] == task
-    assert min(len(config["env"][part]) for part in ("actions", "rewards", "terminations")) > 0
 
 
 @every_task

@@ -93,20 +93,6 @@ def test_it_never_resets_by_itself():
     assert env.unwrapped.env.episode_length_buf.tolist() == [0]
 
 
-def test_a_robot_that_fell_stays_on_the_ground(env):
-    env.reset(seed=0)
-    fallen = None
-    for k in range(200):
-        observations, _, terminated, _, _ = env.step(np.zeros(6, np.float32))
-        if terminated:
-            fallen = k if fallen is None else fallen
-        if fallen is not None and k == fallen + 20:
-            break
-    assert fallen is not None
-    upright = observations["policy"][27:30]  # newest sample of projected gravity
-    assert upright[2] > -0.9
-
-
 def test_stock_and_user_tasks_and_overrides_are_composed_and_an_unknown_task_is_refused(tmp_path):
     env = make(task="stand", overrides=["env.episode_length_s=0.5", "env.observations.policy.history_length=2"])
     assert (env.unwrapped.env.max_episode_length, env.observation_space["policy"].shape) == (30, (54,))
