@@ -38,7 +38,7 @@ from wheelleg_exp.managers.manager_base import Term
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.state import Stateful, cloned, tree
 from wheelleg_exp.state.stateful import declarations
-from wheelleg_exp.state.values import PLAIN, encoded_or_itself, same
+from wheelleg_exp.state.values import PLAIN, same, snapshot
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
@@ -308,7 +308,7 @@ def _frame(value: object) -> object:
     if isinstance(value, (dict, list)):
         return len(value)
     has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
-    return None if has_slot else encoded_or_itself(value)
+    return None if has_slot else snapshot(value)
 
 
 def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:

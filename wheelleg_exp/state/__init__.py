@@ -2,14 +2,12 @@
 
 | module | purpose |
 |---|---|
-| `stateful` | the base class `Stateful`, which declares buffers, numbers, settings, and children |
-| `settings` | parameters of terms, which checkpoints contain once a curriculum has changed them |
+| `stateful` | the base class `Stateful`, which declares state, and `Settings`, the parameters of terms |
 | `values` | copies, comparisons, and conversions of tensors and plain values |
 | `old_layout` | converts the environment's state in checkpoints of format version 2 |
 """
 
-from wheelleg_exp.state.settings import Settings
-from wheelleg_exp.state.stateful import Stateful, adopt, register_undeclared, restore, save, tree
+from wheelleg_exp.state.stateful import Settings, Stateful, adopt, register_undeclared, restore, save, tree
 from wheelleg_exp.state.values import NamedStream, cloned, host_copy, merged, same
 
 __all__ = [

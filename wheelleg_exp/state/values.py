@@ -79,7 +79,7 @@ def encoded(value: object) -> object:
     raise Unsaveable(value)
 
 
-def encoded_or_itself(value: object) -> object:
+def snapshot(value: object) -> object:
     """Return ``encoded(value)``, or the value itself if a checkpoint cannot contain it."""
     try:
         return encoded(value)
