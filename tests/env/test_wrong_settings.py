@@ -64,6 +64,8 @@ def _run(env):
         of_event(PUSH | {"interval_range_s": [-1.0, 1.0]}, "interval_range_s"),
         of_event(JOINTS | {"interval_range_s": [1.0, 2.0]}, "interval_range_s"),
         of_event(PUSH | {"interval_range_s": [1.0, 2.0], MIN_STEPS: 3}, MIN_STEPS),
+        *(({key: value}, f"env.{key}") for key in ("num_envs", "decimation") for value in (0, -1, 2.0, True, "4")),
+        *(({"episode_length_s": value}, "env.episode_length_s") for value in (0.0, -1.0, "long", float("nan"))),
         ({"sim": {"gravity": [0.0, 0.0]}}, "env.sim.gravity"),
         ({"scene": {"terrain": {"_target_": PLANE, "static_friction": 0.5}}}, "env.scene.terrain"),
         ({"scene": {"terrain": PLAIN | {"x": 1}}}, "env.scene.terrain"),
