@@ -211,17 +211,14 @@ def test_the_walk_meets_every_class_that_may_have_state(make):
     for module in (actions, commands, curriculums, events, observations, rewards, terminations_module):
         library |= _classes(module, TermBase)
     library -= {actuators.ActuatorNetMLP, actuators.ActuatorNetLSTM}  # Tests in tests/sim cover these actuators.
-    stock = {target.rpartition(".")[2] for path in configs_dir().rglob("*.yaml") for target in _targets(path)}
+    texts = [path.read_text(encoding="utf-8") for path in configs_dir().rglob("*.yaml")]
+    stock = {name.rpartition(".")[2] for text in texts for name in re.findall(r"_target_: *([\w.]+)", text)}
     left = {c.__qualname__ for c in library - found if not inspect.isabstract(c)} - stock - BASES
     assert left == set(), "neither here nor among the stock nodes, all of which tests/env/test_stock_nodes.py restores"
 
 
 BASES = {"ActuatorBase", "BinaryJointAction", "Modifier", "JointAction", "JointTerm", "TermBase", "ActionTerm"}
 BASES |= {"CommandTerm"}
-
-
-def _targets(path):
-    return re.findall(r"_target_: *([\w.]+)", path.read_text(encoding="utf-8"))
 
 
 SPOILS = [
