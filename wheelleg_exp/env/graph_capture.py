@@ -10,8 +10,8 @@ method reads and writes: what the environment's parts have declared (see ``wheel
 - A captured method may change a declared **buffer** in place, or assign a new tensor of the same shape. The graph
   copies the new tensor into the old one.
 - Declared **numbers** and the **settings** of terms are the key of a recording. ``GraphCapture`` records one CUDA graph
-  for each frequent combination of their values. A captured method may also change a number, if its new value depends
-  only on the old numbers: then each replay assigns the recorded value.
+  for each combination of their values that occurs three times. A captured method may also change a number, if its new
+  value depends only on the old numbers: then each replay assigns the recorded value.
 - A method that counts, that changes anything undeclared, or that waits for the GPU, runs without a CUDA graph. A
   warning names the reason.
 """
@@ -459,15 +459,21 @@ class CapturedPart:
             is_due = times >= _RUNS_BEFORE_CAPTURE or (self._calls >= _RUNS_BEFORE_CAPTURE and not self._checked)
             if is_due and state not in self._checked:
                 return self._run_checked(args, state)
-            if times <= _RUNS_BEFORE_CAPTURE or not self._has_room():
-                self._warn_of_changes(state)
+            is_full = len(self.recordings) >= self._room
+            oldest = next(iter(self.recordings.values())).used if is_full else 0
+            has_room = not is_full or self._calls - oldest > _CALLS_PER_RECORDING * self._room
+            if times <= _RUNS_BEFORE_CAPTURE or not has_room:
+                self._missed += 1
+                if self._missed == _MANY:
+                    self._warn(f"{self.values.difference(self._last, state)} changes again and again")
+                self._last = self._last if self.recordings else state
                 return self._run(args)
             recording = self._try_to_record(args)
             if recording is None:
                 self.reset_caches()
                 return self._run(args)
             del self._times[key]
-            if len(self.recordings) >= self._room:
+            if is_full:
                 del self.recordings[next(iter(self.recordings))]
         elif unfit := recording.load(args):
             self._mismatches += 1
@@ -483,20 +489,6 @@ class CapturedPart:
     def _run(self, args: tuple[object, ...]) -> object:
         self.values.is_checked = False  # Python code may change any attribute of the environment.
         return self.work(*args)
-
-    def _has_room(self) -> bool:
-        """Return whether there is room for a CUDA graph, or the least recently used one has not been used for long."""
-        if len(self.recordings) < self._room:
-            return True
-        oldest = next(iter(self.recordings.values()))
-        return self._calls - oldest.used > _CALLS_PER_RECORDING * self._room
-
-    def _warn_of_changes(self, state: Key) -> None:
-        self._missed += 1
-        if self._missed == _MANY:
-            self._warn(f"{self.values.difference(self._last, state)} changes again and again")
-        if not self.recordings:
-            self._last = state
 
     def _give_up(self, reason: str) -> None:
         if not self.fails:
