@@ -98,7 +98,10 @@ def restored(saved: Any, present: object) -> Any:
     elif is_saving(present):
         present.load_state_dict(saved)
     elif isinstance(present, np.ndarray) and isinstance(saved, torch.Tensor):
-        return _into_tensor(saved.cpu(), torch.from_numpy(present) if present.flags.writeable else None).numpy()
+        array = saved.cpu().numpy()
+        if (present.shape, present.dtype) != (array.shape, array.dtype) or not present.flags.writeable:
+            return array.copy()
+        np.copyto(present, array)
     elif isinstance(present, np.generic) and type(saved) in PLAIN:
         return type(present)(saved)
     elif isinstance(saved, torch.Tensor):
