@@ -68,21 +68,6 @@ def test_dynamic_friction_can_exceed_static_unless_made_consistent(make_env):
     assert torch.equal(loose[:, 0], tight[:, 0])
 
 
-def test_the_written_friction_acts(start_env):
-    """A cube pushed with half its weight stays with an effective friction of .65 and slides with .35."""
-    speeds = []
-    for cube in (0.8, 0.2):
-        ranges = {"static_friction_range": [cube, cube], "dynamic_friction_range": [cube, cube]}
-        env = start_env("block", events={"m": event("randomize_rigid_body_material", **MATERIAL | ranges)})
-        wrench = torch.zeros(4, 1, 6)
-        wrench[:, 0, 0] = 0.5 * 2.001 * 9.81
-        env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-        run(env, 30)
-        speeds.append(float(env.scene.robot.data.root_lin_vel_w[0, 0]))
-    assert abs(speeds[0]) < 0.02
-    assert speeds[1] == pytest.approx((0.5 - 0.35) * 9.81 * 0.6, rel=0.2)
-
-
 def _mass(make_env, operation, params, **fields):
     fields |= {"operation": operation, "mass_distribution_params": params, "asset_cfg": bodies("base", "left_wheel")}
     env = make_env(events={"m": event("randomize_rigid_body_mass", **fields)}, num_envs=200)
@@ -192,19 +177,6 @@ def test_centres_of_mass_shift_together_and_add_up(start_env):
     torch.testing.assert_close(env.scene.robot.data.com_b.double(), expected, atol=1e-7, rtol=0)
 
 
-def test_a_shifted_centre_of_mass_moves_the_engines(start_env):
-    """The robot's centre of mass moves by m / M times the offset of one body."""
-    node = event("randomize_rigid_body_com", mode="custom", com_range={"x": [0.03, 0.03]}, asset_cfg=bodies("base"))
-    env = start_env(events={"c": node})
-    root = env.scene.model.body("base").id
-    before = env.scene.sim.derived("subtree_com")[:, root].clone()
-    velocity = env.scene.robot.data.root_lin_vel_w.clone()
-    env.apply_event("custom", torch.tensor([1]))
-    moved = env.scene.sim.derived("subtree_com")[:, root] - before
-    assert moved[:, 0].tolist() == pytest.approx([0, 0.03 * 1.2 / 1.8, 0, 0], abs=1e-9)
-    assert torch.equal(env.scene.robot.data.root_lin_vel_w, velocity)
-
-
 def test_wrenches_are_drawn_within_their_ranges_for_the_configured_bodies(start_env):
     ranges = {"force_range": [1.0, 2.0], "torque_range": [-0.2, -0.1], "asset_cfg": bodies("base", "right_arm")}
     env = start_env(events={"w": event("apply_external_force_torque", mode="reset", **ranges)}, num_envs=64)
@@ -218,32 +190,9 @@ def test_wrenches_are_drawn_within_their_ranges_for_the_configured_bodies(start_
     assert (applied[:, [b for b in range(5) if b not in named]] == 0).all()
 
 
-def test_a_wrench_is_absent_in_episodes_that_its_event_skips(make_env):
-    ranges = {"force_range": [1.0, 1.0], "torque_range": [0.0, 0.0], "asset_cfg": bodies("base")}
-    node = event("apply_external_force_torque", mode="reset", min_step_count_between_reset=5, **ranges)
-    env = make_env(events={"w": node})
-    body = env.scene.model.body("base").id
-    present = []
-    for _ in range(3):
-        env.reset()
-        run(env, 3)
-        present.append(bool((env.scene.sim.view("xfrc_applied")[:, body].norm(dim=1) > 1).all()))
-    assert present == [True, False, True]
-
-
 RANGES = {"x": [1.0, 1.0], "y": [-2.0, -2.0], "yaw": [0.5, 0.5]}
 REACHED = pytest.approx([0.7, 0.7, 0.5, 0.5])
 MOVING = [0.1, 0.2, 0.3, 1.0, 2.0, 3.0]
-
-
-def _moving(start_env, name):
-    env = start_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
-    pos = env.scene.robot.data.root_pos_w.clone()
-    quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
-    env.scene.robot.write_root_pose_to_sim(torch.cat((pos, quat), dim=1), ALL)
-    env.scene.robot.write_root_velocity_to_sim(torch.tensor([MOVING] * 4), ALL)
-    env.apply_event("custom", torch.tensor([0, 2]))
-    return env.scene.robot.data
 
 
 @pytest.mark.parametrize(
@@ -255,8 +204,13 @@ def _moving(start_env, name):
     ],
 )
 def test_a_push_adds_to_the_velocity_of_the_com_in_world_axes_or_sets_it(start_env, name, expected):
-    velocity = _moving(start_env, name).root_vel_w
-    torch.testing.assert_close(velocity, torch.tensor([expected, MOVING] * 2), atol=1e-5, rtol=0)
+    env = start_env(events={"p": event(name, mode="custom", velocity_range=RANGES)})
+    robot = env.scene.robot
+    quat = torch.nn.functional.normalize(torch.tensor([[1.0, 0.5, -0.3, 0.2]]), dim=1).expand(4, 4)
+    robot.write_root_pose_to_sim(torch.cat((robot.data.root_pos_w.clone(), quat), dim=1), ALL)
+    robot.write_root_velocity_to_sim(torch.tensor([MOVING] * 4), ALL)
+    env.apply_event("custom", torch.tensor([0, 2]))
+    torch.testing.assert_close(robot.data.root_vel_w, torch.tensor([expected, MOVING] * 2), atol=1e-5, rtol=0)
 
 
 def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
@@ -275,26 +229,10 @@ def test_a_push_in_the_yaw_frame_turns_with_the_robot(start_env):
     torch.testing.assert_close(env.scene.robot.data.root_ang_vel_w, turned, atol=1e-5, rtol=0)
 
 
-def test_a_push_shows_in_the_observation_of_the_same_step(start_env):
-    fields = {"mode": "interval", "interval_range_s": [0.04, 0.04], "velocity_range": {"x": [3.0, 3.0]}}
-    events_ = {"r": event("reset_scene_to_default", mode="reset"), "p": event("push_by_adding_velocity", **fields)}
-    seen = {"v": {"_target_": "wheelleg_exp.mdp.observations.root_lin_vel_w"}}
-    env = start_env(events=events_, observations={"policy": {"terms": seen}})
-    speeds = [float(env.step(torch.zeros(4, 4))[0]["policy"][0, 0]) for _ in range(3)]
-    assert abs(speeds[0]) < 0.5
-    assert speeds[1] == pytest.approx(3.0, abs=0.5)
-
-
 def _placed(start_env, name="reset_root_state_uniform", rot=(1.0, 0.0, 0.0, 0.0), num_envs=4, **ranges):
     init = {"pos": [0.1, 0.2, 0.5], "rot": list(rot), "joint_pos": {".*": 0.0}, "joint_vel": {".*": 0.0}}
     env = start_env(events={"p": event(name, mode="reset", **ranges)}, robot={"init_state": init}, num_envs=num_envs)
     return env, env.scene.robot.data
-
-
-def test_the_root_starts_at_its_default_plus_origin_plus_draw(start_env):
-    env, data = _placed(start_env, pose_range={"x": [0.5, 0.5], "z": [0.1, 0.1]}, velocity_range={})
-    torch.testing.assert_close(data.root_pos_w, env.scene.env_origins + torch.tensor([0.6, 0.2, 0.6]))
-    assert data.root_lin_vel_w.abs().max() == 0
 
 
 def test_the_drawn_angles_turn_the_default_orientation_in_body_axes(start_env):
@@ -340,8 +278,10 @@ def test_random_orientations_cover_the_sphere(start_env):
     name = "reset_root_state_with_random_orientation"
     _, data = _placed(start_env, name, num_envs=500, pose_range={}, velocity_range={})
     up = rotation.quat_to_matrix(data.root_quat_w)[:, 2, 2]
+    torch.testing.assert_close(data.root_quat_w.norm(dim=1), torch.ones(500))
+    # The z axis of a uniform rotation has uniform height on [-1, 1]: mean 0, variance 1/3.
     assert float(up.min()) < -0.9 < 0.9 < float(up.max())
-    assert abs(float(up.mean())) < 0.1
+    assert (float(up.mean()), float(up.var())) == (pytest.approx(0.0, abs=0.1), pytest.approx(1 / 3, abs=0.05))
 
 
 def _joint_reset(start_env, kind, position, velocity, defaults=0.5, speed=2.0, **fields):
@@ -358,12 +298,6 @@ def test_joints_by_scale(start_env):
     assert len(data.joint_pos.unique()) == 400
     both = torch.stack((data.joint_pos.flatten(), data.joint_vel.flatten()))
     assert abs(float(torch.corrcoef(both)[0, 1])) < 0.2  # position and speed of a joint have separate draws
-
-
-def test_joints_by_offset(start_env):
-    data = _joint_reset(start_env, "offset", [0.1, 0.2], [-3.0, -2.0], speed=0.0)
-    assert ((data.joint_pos >= 0.6 - 1e-6) & (data.joint_pos <= 0.7 + 1e-6)).all()
-    assert ((data.joint_vel >= -3) & (data.joint_vel <= -2)).all()
 
 
 @pytest.mark.parametrize(

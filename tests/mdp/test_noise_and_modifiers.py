@@ -209,17 +209,3 @@ def test_a_reset_starts_a_new_walk_and_filter_in_its_environments_only():
     once, later = odd_and_even["lag"]
     assert (once == 1.0).all()
     assert float(later.mean()) == pytest.approx(np.log(6.0) / 5.0, rel=0.1)  # the mean of 1 / (1 + T)
-
-
-def test_a_sensor_continues_from_its_saved_state():
-    settings = {"std": 0.1, "drift": 0.1, "lag": 3.0, "lost": 0.3}
-    model, generator = noise.SensorErrors(**settings), gen()
-    for step in range(5):
-        model(torch.full((8, 2), float(step)), generator)
-    other, stream = noise.SensorErrors(**settings), gen(9)
-    other(torch.zeros(8, 2), stream)
-    other.load_state_dict(model.state_dict())
-    stream.set_state(generator.get_state())
-    for step in range(5, 9):
-        value = torch.full((8, 2), float(step))
-        assert torch.equal(model(value, generator), other(value, stream))

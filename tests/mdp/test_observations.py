@@ -14,6 +14,7 @@ from wheelleg_exp.mdp import observations
 
 T = torch.tensor
 
+LEGS = SimpleNamespace(raw_actions=T([[7.0]]))
 ENV = fake_env(
     env_origins=T([[1.0, 2.0, 0.0], [0.0, 0.0, 0.5]]),
     data_root_pos_w=T([[1.5, 2.0, 0.3], [0.0, 1.0, 0.75]]),
@@ -27,6 +28,8 @@ ENV = fake_env(
     episode_length_buf=T([0, 50]),
     step_dt=0.02,
     max_episode_length_s=5.0,
+    commands={"v": T([[1.0, 2.0]]), "p": T([[3.0]])},
+    action_manager=SimpleNamespace(action=T([[1.0, 2.0]]), get_term={"legs": LEGS}.__getitem__),
 )
 
 
@@ -53,6 +56,10 @@ ANGLES = [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1
         ("joint_pos_sin_cos", {"asset_cfg": entity(joints=[0, 2])}, ANGLES),
         ("current_time_s", {}, [[0.0], [1.0]]),
         ("remaining_time_s", {}, [[5.0], [4.0]]),
+        ("last_action", {}, [[1.0, 2.0]]),
+        ("last_action", {"action_name": "legs"}, [[7.0]]),
+        ("generated_commands", {"command_name": "p"}, [[3.0]]),
+        ("generated_commands", {"command_name": "v"}, [[1.0, 2.0]]),
     ],
 )
 def test_a_formula_by_hand(name, fields, expected):
@@ -70,19 +77,6 @@ def test_velocities_are_those_of_the_robot():
     env = fake_env(**{f"data_{name}": torch.full((2, 3), float(i)) for i, name in enumerate(names.values())})
     for k, name in enumerate(names):
         assert (getattr(observations, name)(env) == k).all(), name
-
-
-def test_actions_of_all_terms_or_one():
-    term = SimpleNamespace(raw_actions=T([[7.0]]))
-    env = fake_env(action_manager=SimpleNamespace(action=T([[1.0, 2.0]]), get_term=lambda name: {"legs": term}[name]))
-    close(observations.last_action(env), [[1.0, 2.0]])
-    close(observations.last_action(env, action_name="legs"), [[7.0]])
-
-
-def test_commands_by_name():
-    env = fake_env(commands={"v": T([[1.0, 2.0]]), "p": T([[3.0]])})
-    close(observations.generated_commands(env, "p"), [[3.0]])
-    close(observations.generated_commands(env, "v"), [[1.0, 2.0]])
 
 
 def test_an_unlimited_joint_has_no_position_between_limits(make_env):

@@ -83,20 +83,18 @@ def test_standing_still_has_no_skill_for_any_command(world):
     assert world.term.ranges["lin_vel_x"] == [-0.3, 0.3]
 
 
-def test_the_skill_is_that_of_the_formula(world):
-    curriculum = by_skill(world)
-    world.command[:, 0], world.data.root_lin_vel_b[:, 0] = 0.3, 0.2
-    score, still = math.exp(-1.0), math.exp(-9.0)
-    assert world.episode(curriculum)["lin_vel_x_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
-
-
-def test_the_skill_is_that_of_the_formula_for_a_turn_the_other_way(world):
-    settings = {"std": {"ang_vel_z": 0.5}, "step": {"ang_vel_z": 0.1}, "min_episodes": N}
-    curriculum = command_levels_by_skill(world, {"ang_vel_z": [-1.0, 1.0]}, **settings)
-    world.command[:, 2], world.data.root_ang_vel_b[:, 2] = -0.4, -0.25
-    world.data.root_lin_vel_b[:] = 9.0
-    score, still = math.exp(-(0.15**2) / 0.25), math.exp(-(0.4**2) / 0.25)
-    assert world.episode(curriculum)["ang_vel_z_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
+@pytest.mark.parametrize(
+    ("axis", "column", "command", "velocity", "std"),
+    [("lin_vel_x", 0, 0.3, 0.2, 0.1), ("ang_vel_z", 2, -0.4, -0.25, 0.5)],
+)
+def test_the_skill_is_that_of_the_formula(world, axis, column, command, velocity, std):
+    settings = {"std": {axis: std}, "step": {axis: 0.1}, "min_episodes": N}
+    curriculum = command_levels_by_skill(world, {axis: [-1.0, 1.0]}, **settings)
+    world.data.root_lin_vel_b[:] = world.data.root_ang_vel_b[:] = 9.0
+    of = world.data.root_lin_vel_b if column < 2 else world.data.root_ang_vel_b
+    world.command[:, column], of[:, column] = command, velocity
+    score, still = math.exp(-(((command - velocity) / std) ** 2)), math.exp(-((command / std) ** 2))
+    assert world.episode(curriculum)[f"{axis}_skill"] == pytest.approx((score - still) / (1 - still), rel=1e-5)
 
 
 def test_steps_without_a_command_do_not_count(world):
@@ -231,19 +229,12 @@ def test_a_robot_commanded_to_stand_stays_unless_it_fell(world):
     assert world.moved == [([False] * N, [False] * N), ([False] * N, [True] * N), ([False] * N, [True] * N)]
 
 
-def test_levels_that_do_not_rise_are_stuck(world):
-    curriculum = terrain_levels_by_distance(world, patience=2)
-    assert [world.episode(curriculum)["stuck"] for _ in range(4)] == [0.0, 0.0, 0.0, 1.0]
-    world.scene.terrain.terrain_levels.fill_(1.0)
-    assert world.episode(curriculum)["stuck"] == 0.0
-
-
-@pytest.mark.parametrize(("level", "stuck"), [(4.4, 1.0), (4.6, 0.0)])
-def test_levels_beyond_half_of_the_hardest_are_not_stuck(world, level, stuck):
+def test_levels_that_do_not_rise_are_stuck_unless_beyond_half_of_the_hardest(world):
     """The hardest of ten rows is row 9."""
-    curriculum = terrain_levels_by_distance(world, patience=1)
-    world.scene.terrain.terrain_levels.fill_(level)
-    assert [world.episode(curriculum)["stuck"] for _ in range(3)][-1] == stuck
+    curriculum = terrain_levels_by_distance(world, patience=2)
+    for level, stuck in ((0.0, 1.0), (4.4, 1.0), (4.6, 0.0)):
+        world.scene.terrain.terrain_levels.fill_(level)
+        assert [world.episode(curriculum)["stuck"] for _ in range(4)] == [0.0, 0.0, 0.0, stuck]
 
 
 def test_down_must_be_below_up(world):

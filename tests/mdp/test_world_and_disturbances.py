@@ -2,7 +2,6 @@
 
 import math
 
-import mujoco
 import numpy as np
 import pytest
 import torch
@@ -12,15 +11,6 @@ from mdp.nodes import bodies, event
 from wheelleg_exp.mdp import events
 
 ALL = torch.arange(4)
-
-
-def fall(env, steps=10):
-    """Drop a block in the air, and return its acceleration, (N, 3)."""
-    robot = env.scene.robot
-    robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
-    robot.write_root_velocity_to_sim(torch.zeros(4, 6))
-    physics_step(env, steps)
-    return robot.data.root_lin_vel_w / (steps * env.physics_dt)
 
 
 OFF = [[-1.0, 0.5, -2.0], [1.0, 0.5, 2.0]]
@@ -33,7 +23,11 @@ def test_everything_falls_as_gravity_was_drawn(start_env, per_env):
     written = torch.from_numpy(np.array(env.scene.sim.batch.expanded("opt.gravity"))).float()
     assert len(written.unique(dim=0)) == (4 if per_env else 1)
     assert ((written - torch.tensor([0.0, 0.5, -9.81])).abs() <= torch.tensor([1.0, 1e-6, 2.0])).all()
-    torch.testing.assert_close(fall(env), written, atol=1e-4, rtol=1e-4)
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]]).repeat(4, 1))
+    env.scene.robot.write_root_velocity_to_sim(torch.zeros(4, 6))
+    physics_step(env, 10)
+    fallen = env.scene.robot.data.root_lin_vel_w / (10 * env.physics_dt)
+    torch.testing.assert_close(fallen, written, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(env.scene.robot.data.projected_gravity_b, torch.tensor([[0.0, 0.0, -1.0]] * 4))
 
 
@@ -56,35 +50,13 @@ def test_one_gravity_applies_to_all_whichever_environment_resets(make_env):
     assert (len(written.unique(dim=0)), written[0, 1]) == (1, pytest.approx(0.5))
 
 
-def test_a_body_turns_according_to_its_drawn_inertia(start_env):
-    """The expected speed is w = torque * t / I."""
+def test_each_environment_has_its_own_moments_of_inertia(make_env):
     ranges = {"inertia_distribution_params": [0.8, 1.4], "operation": "scale", "asset_cfg": bodies("block")}
-    node = event("randomize_rigid_body_inertia", **ranges)
-    env = start_env("block", events={"i": node}, sim={"gravity": [0.0, 0.0, 0.0]})
-    model, body = env.scene.model, env.scene.model.body("block").id
-    drawn = np.array(env.scene.sim.batch.expanded("body_inertia"))[:, body]
-    ratio = drawn / model.body_inertia[body]
+    env = make_env("block", events={"i": event("randomize_rigid_body_inertia", **ranges)})
+    body = env.scene.model.body("block").id
+    ratio = np.array(env.scene.sim.batch.expanded("body_inertia"))[:, body] / env.scene.model.body_inertia[body]
     assert ((ratio >= 0.8 - 1e-6) & (ratio <= 1.4 + 1e-6)).all()
-    assert len(np.unique(drawn)) == 12
-    fall(env, 1)
-    wrench = torch.zeros(4, 1, 6)
-    wrench[:, 0, 5] = 0.01
-    env.scene.robot.set_permanent_wrench(ALL, [0], wrench)
-    physics_step(env, 10)
-    expected = [_whole_inertia(model, row, body) for row in drawn]
-    speeds = env.scene.robot.data.root_ang_vel_w[:, 2].double().numpy()
-    np.testing.assert_allclose(speeds, 0.01 * 0.1 / np.array(expected), rtol=1e-3)
-
-
-def _whole_inertia(model, moments, body):
-    """Return the robot's moment of inertia about z, by MuJoCo, if its base has the given moments."""
-    own = mujoco.MjModel.__copy__(model)
-    own.body_inertia[body] = moments
-    data = mujoco.MjData(own)
-    mujoco.mj_forward(own, data)
-    full = np.zeros((own.nv, own.nv))
-    mujoco.mj_fullM(own, data, full)
-    return 1.0 / np.linalg.inv(full)[5, 5]
+    assert len(np.unique(ratio)) == 12
 
 
 def test_no_moment_of_inertia_is_more_than_the_other_two(make_env):

@@ -38,11 +38,6 @@ def _exact_period(amplitude):
     return SLOW / a
 
 
-def test_gausss_mean_gives_the_series_of_the_period():
-    x = 1.0**2  # T / T0 = 1 + x / 16 + 11 x^2 / 3072 + 173 x^3 / 737280 + ...
-    assert _exact_period(1.0) / SLOW == pytest.approx(1 + x / 16 + 11 / 3072 + 173 / 737280, abs=3e-5)
-
-
 @pytest.mark.parametrize("factor", [0.4, 2.5])
 def test_gravity_that_an_event_scales_changes_the_period_by_its_root(world, factor):
     scaled = [[1.0, 1.0, factor]] * 2

@@ -199,6 +199,7 @@ def test_written_states_are_read_back(make_env):
 @pytest.mark.parametrize("joint_ids", [[2, 0], torch.tensor([2, 0])])
 def test_joints_are_written_by_any_indices(make_env, env_ids, joint_ids):
     robot = make_env().scene.robot
+    assert robot.data.joint_pos[3, 0] != 0.5  # A value that was read before is read from scratch after a write.
     robot.write_joint_state_to_sim(torch.tensor([[5.0, 0.5]] * 2), torch.tensor([[-5.0, 0.25]] * 2), joint_ids, env_ids)
     assert robot.data.joint_pos[3].tolist() == pytest.approx([0.5, 0.2, 5.0, 0.0])
     assert robot.data.joint_vel[1].tolist() == pytest.approx([0.25, 0.0, -5.0, 0.0])

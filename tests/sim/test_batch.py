@@ -66,14 +66,6 @@ def test_stepping_is_bitwise_a_plain_loop(sim, model):
     assert np.array_equal(sim.view("qvel")[1].numpy(), data.qvel)
 
 
-def test_a_write_to_the_state_is_honoured_by_the_next_step(sim, model):
-    sim.step()
-    sim.view("qvel")[2, 0] = 4.0
-    sim.step()
-    assert float(sim.view("qpos")[2, 0]) == pytest.approx(4.0 * model.opt.timestep)
-    assert float(sim.view("qpos")[1, 0]) == pytest.approx(0.0, abs=1e-12)
-
-
 def test_forward_refreshes_only_the_given_rows(sim):
     xpos = sim.derived("xpos")
     sim.view("qpos")[:, 0] = 5.0

@@ -84,14 +84,6 @@ def test_a_quaternion_that_is_not_normalised_is_written_normalised(env):
     torch.testing.assert_close(env.scene.robot.data.root_lin_vel_w, torch.ones(4, 3))
 
 
-def test_a_read_after_a_write_is_the_written_value_without_a_forward(env):
-    robot = env.scene.robot
-    assert robot.data.joint_pos[0, 0] != 0.4
-    robot.write_joint_state_to_sim(torch.tensor([[0.4]]), torch.tensor([[1.5]]), torch.tensor([1]), torch.tensor([2]))
-    assert (robot.data.joint_pos[2, 1], robot.data.joint_vel[2].tolist()) == (pytest.approx(0.4), [0, 1.5, 0, 0])
-    assert robot.data.joint_pos[1, 1] == pytest.approx(0.2)
-
-
 def test_joint_acceleration_is_the_difference_over_the_last_physics_step_and_0_after_a_write(env):
     data = env.scene.robot.data
     env.scene.robot.set_joint_velocity_target(torch.full((4, 2), 5.0), torch.tensor([2, 3]))
@@ -168,23 +160,6 @@ def test_wrenches_act_on_their_environment_and_all_their_bodies_only(env):
     assert (applied.abs().sum(dim=(1, 2)) > 0).tolist() == [False, True, False, False]
     assert (applied[1].abs().sum(dim=1) > 0).nonzero().flatten().tolist() == sorted(bodies)
     assert applied[1, bodies].norm(dim=1).tolist() == pytest.approx([2.0, 1.0])
-
-
-def test_a_robots_state_is_saved_and_restored(env, make_env):
-    robot = env.scene.robot
-    robot.set_joint_position_target(torch.full((4, 2), 0.7), torch.tensor([0, 1]))
-    robot.set_joint_effort_target(torch.full((4, 1), 0.3), torch.tensor([2]))
-    _permanent(env, ALL, torch.tensor([1.0, 2, 3, 4, 5, 6]))
-    physics_step(env, 3)
-    other = make_env(seed=9)
-    other.scene.load_state_dict(env.scene.state_dict())
-    mine, theirs = robot.data, other.scene.robot.data
-    for name in ("joint_pos", "joint_vel", "joint_acc", "applied_torque", "computed_torque", "joint_effort_target"):
-        assert torch.equal(getattr(mine, name), getattr(theirs, name)), name
-    for one in (env, other):
-        physics_step(one, 3)
-    assert torch.equal(env.scene.sim.state, other.scene.sim.state)
-    assert torch.equal(mine.applied_torque, theirs.applied_torque)
 
 
 def test_a_reset_of_the_scene_leaves_state_and_targets_to_events_and_actions(make_env):

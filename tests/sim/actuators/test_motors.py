@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import physics_step, wheel_env
+from sim.small_envs import physics_step
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.robot_model import JointTargets
 
@@ -45,16 +45,6 @@ def test_a_motors_torque_is_limited_by_its_torque_speed_line(make_env, speed, lo
         assert (applied, computed) == (pytest.approx(low if torque < 0 else high, abs=1e-5), torque)
     inside = (low + high) / 2
     assert asked_at_speed(env, speed, inside)[0] == pytest.approx(inside, abs=1e-5)
-
-
-def test_a_motor_runs_up_to_its_no_load_speed_along_its_line(tmp_path):
-    motor = {"_target_": HERE + "DCMotor", **GAINS, "effort_limit": 100.0}
-    env = wheel_env(tmp_path, motor | {"velocity_limit": 8.0, "saturation_effort": 0.4})
-    env.scene.robot.set_joint_effort_target(torch.full((4, 1), 50.0), slice(None))
-    for steps, time in ((100, 0.1), (200, 0.3)):
-        physics_step(env, steps)
-        speed = env.scene.robot.data.joint_vel[0, 0].item()
-        assert speed == pytest.approx(8.0 * (1 - math.exp(-time / 0.2)), rel=0.01)
 
 
 def spread(values):

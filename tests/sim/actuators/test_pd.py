@@ -57,14 +57,6 @@ def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(start_
     assert torch.equal(robot.data.applied_torque, seen[1])
 
 
-def test_armatures_and_gains_reach_the_model(start_env):
-    model = _env(start_env, "ImplicitActuator").scene.model
-    assert model.joint("left_hip").damping[0] == 0
-    assert model.dof_armature[model.joint("right_axle").dofadr[0]] == 0.01
-    drive = model.actuator("right_hip")
-    assert (drive.biasprm[:3].tolist(), drive.gainprm[0], drive.forcerange.tolist()) == ([0, -20, -1], 1, [-4, 4])
-
-
 def test_numbers_by_joint_reach_the_model_and_the_asset_has_the_missing_ones(tmp_path):
     path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" frictionloss=".07" armature=".05"')
     friction = {"friction": {"right_hip": 0.2}, "viscous_friction": 0.3}

@@ -47,19 +47,6 @@ def test_a_long_update_period_ends_on_its_step_in_spite_of_float32_sums(start_en
     assert [counts.index(n) for n in (1, 2, 3)] == [0, 200, 400]
 
 
-@pytest.mark.parametrize("period", [0.0, 0.03])
-def test_it_continues_from_its_saved_state(start_env, period):
-    env, sensor = _env(start_env, update_period=period)
-    run(env, 4)
-    other, same = _env(start_env, update_period=period)
-    other.load_state_dict(env.state_dict())
-    for _ in range(5):
-        env.step(torch.ones(4, 4))
-        other.step(torch.ones(4, 4))
-        assert torch.equal(sensor.height, same.height)
-        assert torch.equal(sensor.measured, same.measured)
-
-
 class WithoutRefresh(Altimeter):
     reset, refresh = SensorBase.reset, SensorBase.refresh
 

@@ -4,10 +4,8 @@ import pytest
 import torch
 
 from sim.sensors.grounds import STEP
-from sim.small_envs import run
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.terrain import Plane
-from wheelleg_exp.state import same
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
 PREFIX = "wheelleg_exp.sim.sensors."
@@ -149,18 +147,3 @@ def test_a_held_measurement_changes_at_a_reset_but_not_at_other_writes(make):
     env.scene.reset(torch.tensor([1]))
     place(env, [0.0, 0.0, 0.8], ids=torch.tensor([1, 2]))
     assert env.scene["scan"].data.pos_w[:, 2].tolist() == pytest.approx([0.1, 0.8, 0.1, 0.1])
-
-
-@pytest.mark.parametrize("period", [0.0, 0.05])
-def test_it_continues_from_its_saved_state(make, period):
-    settings = {"drift_range": [-0.1, 0.1], "ray_cast_drift_range": {"z": [-0.1, 0.1]}, "update_period": period}
-    env, other = make(STEP, **settings), make(STEP, seed=5, **settings)
-    run(env, 7)
-    assert not torch.equal(other.scene["scan"].data.pos_w, env.scene["scan"].data.pos_w)
-    other.load_state_dict(env.state_dict())
-    for k in range(6):
-        assert same(*(each.scene["scan"].data.state_dict() for each in (env, other)))
-        for each in (env, other):
-            if k == 3:
-                each.reset(env_ids=torch.tensor([3]))
-            run(each)

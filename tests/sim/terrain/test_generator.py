@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from sim.small_envs import run
 from sim.terrain.tiles import OPTIONS, TERRAIN, Ramp, placed
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.progress import progress_to
@@ -176,30 +175,6 @@ STAIRS |= {"step_width": 0.2, "platform_width": 1.0}
 NODE = {**OPTIONS, "_target_": TERRAIN + "TerrainGenerator", "size": [2.0, 2.0], "num_rows": 3, "num_cols": 2}
 NODE |= {"vertical_scale": 0.001, "difficulty_range": [1.0, 1.0], "sub_terrains": {"stairs": STAIRS, "gone": None}}
 NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_range": [0.0, 0.01]}
-
-
-def test_a_robot_stands_on_its_tile(start_env):
-    high, level = start_env("block", scene={"terrain": NODE}), start_env("block")
-    for env in (high, level):
-        run(env, 60)
-    data = high.scene.robot.data
-    ground = high.scene.terrain.height_at(data.root_pos_w[:, :2])
-    torch.testing.assert_close(ground, torch.full((4,), 0.3), atol=1e-6, rtol=0)
-    height = level.scene.robot.data.root_pos_w[:, 2]
-    torch.testing.assert_close(data.root_pos_w[:, 2] - ground, height, atol=2e-3, rtol=0)
-
-
-def test_levels_and_origins_are_saved_with_the_environment(make_env):
-    env, other = (make_env("block", seed=s, scene={"terrain": {**NODE, "seed": 4}}) for s in (1, 2))
-    mine, theirs, every = env.scene.terrain, other.scene.terrain, torch.ones(4, dtype=torch.bool)
-    for _ in range(2):
-        mine.update_env_origins(torch.arange(4), every, ~every)
-    other.load_state_dict(env.state_dict())
-    assert torch.equal(env.scene.env_origins, other.scene.env_origins)
-    assert torch.equal(mine.terrain_levels, theirs.terrain_levels)
-    for ground in (mine, theirs):
-        ground.update_env_origins(torch.arange(4), every, ~every)
-    assert torch.equal(mine.terrain_levels, theirs.terrain_levels)
 
 
 def test_the_digest_of_the_model_depends_on_the_ground(make_env):
