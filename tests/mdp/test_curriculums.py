@@ -81,26 +81,6 @@ TILES = {
 }
 
 
-def _put(env, positions):
-    pose = torch.cat((positions, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1)
-    env.scene.robot.write_root_pose_to_sim(pose, torch.arange(4))
-
-
-def test_robots_on_tiles_go_up_and_down(start_env):
-    """Robots that cover less than half of 0.2 m/s times 2 s go down."""
-    sections = {"scene": {"terrain": TILES}, "commands": {"v": SPEED}, "events": {}}
-    env = start_env(curriculum={"c": LEVELS_BY_SPEED}, **sections)
-    levels = env.scene.terrain.terrain_levels
-
-    def walk(way):
-        _put(env, env.scene.env_origins + T([[x, y, 0.5] for x, y in way]))
-        return env.reset()[1]["log"]["Curriculum/c"]
-
-    assert (walk([(1.1, 0.0), (0.0, 1.1), (0.15, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.5, [1, 1, 0, 0])
-    assert (walk([(0.0, 0.0), (0.0, -1.1), (1.2, 0.0), (0.25, 0.0)]), levels.tolist()) == (0.75, [0, 2, 1, 0])
-    assert env.scene.env_origins[:, 0].tolist() == pytest.approx([-3.0, 1.0, -1.0, -3.0])
-
-
 @pytest.mark.parametrize(("standing", "expected"), [(0.0, [2, 0, 1, 1]), (1.0, [3, 0, 2, 2])])
 def test_a_second_reset_before_any_motion_sends_robots_down(start_env, standing, expected):
     command = SPEED | {"rel_standing_envs": standing}
@@ -109,7 +89,8 @@ def test_a_second_reset_before_any_motion_sends_robots_down(start_env, standing,
     terrain, none = env.scene.terrain, torch.zeros(4, dtype=torch.bool)
     terrain.terrain_levels[:] = T([3, 0, 2, 2])
     terrain.update_env_origins(torch.arange(4), none, none)
-    _put(env, env.scene.env_origins + T([0.0, 0.0, 0.5]))
+    places = env.scene.env_origins + T([0.0, 0.0, 0.5])
+    env.scene.robot.write_root_pose_to_sim(torch.cat((places, T([[1.0, 0.0, 0.0, 0.0]] * 4)), dim=1), torch.arange(4))
     env.reset()
     assert terrain.terrain_levels.tolist() == expected
 
@@ -285,10 +266,3 @@ def test_linear(step, share):
     assert got == {"x": [4.0 * share, 1.0 - 2.0 * share]}
     assert math.isclose(schedules.linear(env, None, None, 1.0, 2.0, num_steps=20, first_step=10), 1.0 + share)
     assert schedules.linear(env, None, None, 1.0, 2.0, num_steps=0, first_step=10) == (2.0 if step > 10 else 1.0)
-
-
-def test_a_value_is_overridden_after_its_number_of_steps():
-    envs = (SimpleNamespace(common_step_counter=step) for step in (6, 5))
-    later_value, early = (schedules.override_value(env, None, 1.0, value=2.0, num_steps=5) for env in envs)
-    assert later_value == 2.0
-    assert early is curriculums.modify_env_param.NO_CHANGE

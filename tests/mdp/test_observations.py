@@ -3,22 +3,28 @@
 import math
 from types import SimpleNamespace
 
-import mujoco
 import pytest
 import torch
-from sim.small_envs import physics_step
 
 from mdp.fakes import entity, fake_env
 from wheelleg_exp.errors import ConfigError, WheellegError
 from wheelleg_exp.mdp import observations
+from wheelleg_exp.sim import rotation
 
 T = torch.tensor
 
+BODY_QUATS = T([[[1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0]], [[1.0, 0.0, 0.0, 0.0]] * 2])
 LEGS = SimpleNamespace(raw_actions=T([[7.0]]))
 ENV = fake_env(
     env_origins=T([[1.0, 2.0, 0.0], [0.0, 0.0, 0.5]]),
     data_root_pos_w=T([[1.5, 2.0, 0.3], [0.0, 1.0, 0.75]]),
     data_root_quat_w=T([[-0.6, 0.8, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]),
+    data_joint_acc=T([[7.0, 8.0, 9.0], [0.0, 0.0, 0.0]]),
+    data_root_rot_w=rotation.quat_to_matrix(BODY_QUATS[0]),
+    data_projected_gravity_b=T([[0.0, 0.0, -1.0], [0.96, 0.0, 0.28]]),
+    data_body_pos_w=T([[[0.0] * 3, [2.0, 4.0, 3.0]], [[0.0] * 3, [1.0, 1.0, 1.0]]]),
+    data_body_quat_w=BODY_QUATS,
+    data_body_rot_w=rotation.quat_to_matrix(BODY_QUATS.view(4, 4)).view(2, 2, 3, 3),
     data_joint_pos=T([[0.5, 1.0, 3.0], [0.0, 0.0, 0.0]]),
     data_default_joint_pos=T([[0.25, 1.0, 0.0], [0.1, 0.0, 0.0]]),
     data_joint_vel=T([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]]),
@@ -37,7 +43,8 @@ def close(got, expected):
     torch.testing.assert_close(got, T(expected), atol=1e-6, rtol=1e-6)
 
 
-FIRST = entity(joints=[0])
+FIRST, SECOND = entity(joints=[0]), entity(bodies=[1])
+POSES = [[1.0, 2.0, 3.0, 0.6, 0.0, 0.8, 0.0], [1.0, 1.0, 0.5, 1.0, 0.0, 0.0, 0.0]]  # from the environments' origins
 ANGLES = [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1.0, 1.0]]
 
 
@@ -54,6 +61,9 @@ ANGLES = [[math.sin(0.5), math.sin(3), math.cos(0.5), math.cos(3)], [0.0, 0.0, 1
         ("joint_vel_rel", {}, [[0.5, 2.0, 3.0], [0.0, 0.0, -1.0]]),
         ("joint_effort", {"asset_cfg": entity(joints=[2, 0])}, [[3.0, 1.0], [6.0, 4.0]]),
         ("joint_pos_sin_cos", {"asset_cfg": entity(joints=[0, 2])}, ANGLES),
+        ("joint_acc", {"asset_cfg": FIRST}, [[7.0], [0.0]]),
+        ("body_pose_w", {"asset_cfg": SECOND}, POSES),
+        ("body_projected_gravity_b", {"asset_cfg": SECOND}, [[0.96, 0.0, 0.28], [0.0, 0.0, -1.0]]),
         ("current_time_s", {}, [[0.0], [1.0]]),
         ("remaining_time_s", {}, [[5.0], [4.0]]),
         ("last_action", {}, [[1.0, 2.0]]),
@@ -103,39 +113,6 @@ def test_a_gait_clock_repeats_with_its_period():
     expected = [[0.0, 1.0, 1.0, 0.0], [half, -half, -half, -half], [1.0, 0.0, 0.0, -1.0]]
     close(observations.gait_phase(env, period=0.16, offsets=[0.0, 0.25]), expected)
     close(observations.gait_phase(env, period=0.16), [[row[0], row[2]] for row in expected])
-
-
-def test_joint_accelerations_are_zero_after_a_reset(make_env):
-    env = make_env(observations={"policy": {"terms": {"x": {"_target_": "wheelleg_exp.mdp.observations.joint_acc"}}}})
-    observed, _ = env.reset()
-    assert (observed["policy"] == 0).all()
-    before = env.scene.robot.data.joint_vel.clone()
-    env.scene.robot.begin_control_step()
-    physics_step(env)
-    close(observations.joint_acc(env), ((env.scene.robot.data.joint_vel - before) / 0.01).tolist())
-
-
-def test_poses_of_bodies_are_mujocos(start_env):
-    env = start_env(num_envs=3)
-    quat = torch.nn.functional.normalize(torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), dim=1)
-    place = env.scene.env_origins + T([0.5, -1.0, 2.0])
-    env.scene.robot.write_root_pose_to_sim(torch.cat((place, quat), dim=1), torch.arange(3))
-    env.scene.refresh()
-    names = env.scene.robot.body_names
-    bodies = entity(bodies=[names.index("right_wheel"), names.index("left_arm")])
-    pose = observations.body_pose_w(env, asset_cfg=bodies)
-    gravity = observations.body_projected_gravity_b(env, asset_cfg=bodies)
-    assert pose.shape == (3, 14)
-    data = mujoco.MjData(env.scene.model)
-    for row in range(3):
-        data.qpos[:] = env.scene.sim.view("qpos")[row].numpy()
-        data.qpos[:3] -= env.scene.env_origins[row].numpy()
-        mujoco.mj_kinematics(env.scene.model, data)
-        for number, name in enumerate(("right_wheel", "left_arm")):
-            seen = [*data.body(name).xpos, *data.body(name).xquat]
-            close(pose[row, 7 * number : 7 * number + 7], [float(x) for x in seen])
-            down = data.body(name).xmat.reshape(3, 3).T @ [0.0, 0.0, -1.0]
-            close(gravity[row, 3 * number : 3 * number + 3], down.tolist())
 
 
 def test_a_height_scan_is_from_the_sensor_to_the_ground_and_a_miss_is_cut_by_the_clip():

@@ -11,6 +11,7 @@ from mdp.fakes import close, entity, fake_env
 from wheelleg_exp.mdp import rewards
 
 T = torch.tensor
+TWO = {"num_envs": 2, "device": torch.device("cpu")}
 
 
 def _ends(terminated, time_outs, **fired):
@@ -129,7 +130,7 @@ def test_the_pose_counts_while_the_command_is_zero():
 
 
 def test_velocities_are_compared_with_the_last_step_of_the_episode():
-    env = fake_env(data_joint_vel=T([[1.0, 9.0], [2.0, 9.0]]), num_envs=2, device=torch.device("cpu"))
+    env = fake_env(data_joint_vel=T([[1.0, 9.0], [2.0, 9.0]]), **TWO)
     term = rewards.joint_vel_rate_l2(env, entity(joints=[0]))
     close(term(env), [0, 0])
     env.scene.robot.data.joint_vel = T([[3.0, 0.0], [1.0, 0.0]])
@@ -215,8 +216,8 @@ def test_a_jump_earns_its_largest_clearance_once():
     """A ballistic jump with a take-off speed v reaches v²/2g, and the reward sums to this height over the jump."""
     dt, speed = 0.01, 1.0
     command = T([[1.0], [1.0]])
-    env = fake_env(commands={"jump": command}, data_body_pos_w=torch.zeros(2, 2, 3), step_dt=dt)
-    term = rewards.jump_clearance(_sized(env, 2), "jump", rest=0.02, target=0.03, asset_cfg=entity(bodies=[0, 1]))
+    env = fake_env(commands={"jump": command}, data_body_pos_w=torch.zeros(2, 2, 3), step_dt=dt, **TWO)
+    term = rewards.jump_clearance(env, "jump", rest=0.02, target=0.03, asset_cfg=entity(bodies=[0, 1]))
     total = torch.zeros(2)
     for step in range(40):
         time = step * dt
@@ -238,18 +239,14 @@ def test_a_jump_earns_its_largest_clearance_once():
     close(term(env) * dt, [0.01, 0.0])  # A new episode starts a new jump.
 
 
-def _sized(env, n):
-    env.num_envs, env.device = n, torch.device("cpu")
-    return env
-
-
 def test_the_apex_of_a_jump_is_known_at_the_take_off():
     env = fake_env(
         commands={"jump": T([[1.0], [1.0]])},
         data_root_pos_w=T([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1]]),
         data_root_lin_vel_w=T([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]),
         step_dt=0.01,
+        **TWO,
     )
     env.scene.model = SimpleNamespace(opt=SimpleNamespace(gravity=(0.0, 0.0, -9.81)))
-    term = rewards.jump_apex(_sized(env, 2), "jump", rest=0.07, target=1.0)
+    term = rewards.jump_apex(env, "jump", rest=0.07, target=1.0)
     close(term(env) * 0.01, [0.03 + 1 / (2 * 9.81), 0.03])

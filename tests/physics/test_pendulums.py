@@ -38,16 +38,6 @@ def _exact_period(amplitude):
     return SLOW / a
 
 
-@pytest.mark.parametrize("factor", [0.4, 2.5])
-def test_gravity_that_an_event_scales_changes_the_period_by_its_root(world, factor):
-    scaled = [[1.0, 1.0, factor]] * 2
-    gravity = at_reset("randomize_physics_scene_gravity", gravity_distribution_params=scaled, operation="scale")
-    events = {"gravity": gravity, "lift": _lifted(0.02, 0.02)}
-    env = world(PENDULUM, 0.002, "fixed", decimation=5, observations=seen("joint_pos"), events=events)
-    angle = watch(env, round(2.6 / math.sqrt(factor) / 0.01))["joint_pos"][:, 0, 0]
-    assert _period(angle, 0.01) == pytest.approx(SLOW / math.sqrt(factor), rel=2e-4)
-
-
 def test_every_swing_takes_the_elliptic_integral_of_its_amplitude(world):
     events = {"lift": _lifted(0.2, 2.6)}
     env = world(PENDULUM, 0.002, "fixed", num_envs=8, decimation=5, observations=seen("joint_pos"), events=events)

@@ -41,22 +41,6 @@ def test_the_reported_torque_is_the_clipped_pd_of_the_state_before_the_physics_s
     assert clipped
 
 
-def test_after_a_control_step_the_torque_is_that_of_the_last_physics_step(start_env):
-    env = _env(start_env, "ImplicitActuator")
-    env.scene.sim.view("actuator_force")
-    robot, seen, update = env.scene.robot, [], env.scene.update
-
-    def spy():
-        update()
-        seen.append(robot.data.applied_torque.clone())
-
-    env.scene.update = spy
-    env.step(torch.ones(4, 4))
-    assert len(seen) == 2
-    assert not torch.equal(seen[0], seen[1])
-    assert torch.equal(robot.data.applied_torque, seen[1])
-
-
 def test_numbers_by_joint_reach_the_model_and_the_asset_has_the_missing_ones(tmp_path):
     path = variant(tmp_path, 'name="left_hip"', 'name="left_hip" frictionloss=".07" armature=".05"')
     friction = {"friction": {"right_hip": 0.2}, "viscous_friction": 0.3}

@@ -21,11 +21,6 @@ def env(start_env):
     return _sensing(start_env)
 
 
-def _lift(env):
-    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4))
-    env.scene.refresh()
-
-
 def test_the_force_has_world_axes_when_the_body_is_upside_down(env):
     robot = env.scene.robot
     upside_down = torch.tensor([[0.0, 1.0, 0.0, 0.0]] * 4)
@@ -65,7 +60,8 @@ def test_without_a_history_only_the_force_of_the_last_physics_step_is_used(start
     sensor = env.scene["contact"]
     assert float(sensor.max_force_norm()[0, 0]) == pytest.approx(WEIGHT, abs=0.02)
     assert torch.equal(sensor.data.net_forces_w_history[:, 0], sensor.data.net_forces_w)
-    _lift(env)
+    env.scene.robot.write_root_pose_to_sim(torch.tensor([[0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]] * 4))
+    env.scene.refresh()
     env.step(STILL)
     assert (sensor.max_force_norm() == 0).all()
 

@@ -87,17 +87,3 @@ def test_the_robot_is_invisible(make):
     inside = {"pos": [0.0, 0.0, 0.0], "rot": OFFSET["rot"], "convention": "ros"}
     data = place(make(offset=inside), [[0.0, 0.0, 1.0]] * 2)
     torch.testing.assert_close(data.output["distance_to_image_plane"], torch.ones(2, 16, 20, 1))
-
-
-def test_with_a_period_the_last_image_is_held_and_continues_from_its_state(make):
-    env, other = make(update_period=0.03), make(update_period=0.03)
-    place(env, [[0.0, 0.0, 1.0]] * 2)
-    env.scene.robot.write_root_com_velocity_to_sim(torch.tensor([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]] * 2))
-    seen = []
-    for _ in range(3):
-        env.step(torch.zeros(2, 1))
-        seen.append(env.scene["eye"].data.output["distance_to_image_plane"].clone())
-    assert not torch.equal(seen[0], seen[1])
-    other.load_state_dict(env.state_dict())
-    assert torch.equal(other.scene["eye"].data.output["distance_to_image_plane"], seen[2])
-    assert torch.equal(other.scene["eye"].data.quat_w_world, env.scene["eye"].data.quat_w_world)

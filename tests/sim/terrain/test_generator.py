@@ -81,13 +81,6 @@ def test_an_origin_is_as_high_as_the_highest_point_of_the_window():
         assert ground.terrain_origins[0, 0, 2] >= 1.0 + reach - 1e-6
 
 
-def test_environments_start_on_their_tiles():
-    ground = placed({"stairs": stairs()}, num_envs=60, max_init_terrain_level=1)
-    assert set(ground.terrain_levels.tolist()) == {0, 1}
-    assert torch.equal(ground.env_origins, ground.terrain_origins[ground.terrain_levels, ground.terrain_types])
-    torch.testing.assert_close(ground.env_origins[:, 2], ground.height_at(ground.env_origins[:, :2]))
-
-
 def test_the_ground_has_height_0_at_nan_and_inf():
     ground = placed({"stairs": stairs()}, border_width=1.0)
     points = torch.tensor([[torch.nan, 0.0], [0.0, torch.inf], [-torch.inf, torch.nan]])
@@ -175,12 +168,6 @@ STAIRS |= {"step_width": 0.2, "platform_width": 1.0}
 NODE = {**OPTIONS, "_target_": TERRAIN + "TerrainGenerator", "size": [2.0, 2.0], "num_rows": 3, "num_cols": 2}
 NODE |= {"vertical_scale": 0.001, "difficulty_range": [1.0, 1.0], "sub_terrains": {"stairs": STAIRS, "gone": None}}
 NOISE = {"_target_": TERRAIN + "UniformNoise", "proportion": 1.0, "amplitude_range": [0.0, 0.01]}
-
-
-def test_the_digest_of_the_model_depends_on_the_ground(make_env):
-    nodes = [{**NODE, "seed": s, "sub_terrains": {"n": NOISE}} for s in (1, 2, 1)]
-    digests = [make_env("block", scene={"terrain": node}).scene.model_digest() for node in nodes]
-    assert digests[0] == digests[2] != digests[1]
 
 
 @pytest.mark.parametrize(
