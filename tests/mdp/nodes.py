@@ -1,5 +1,3 @@
-"""YAML nodes of terms, for tests."""
-
 from __future__ import annotations
 
 from typing import Any

@@ -1,5 +1,3 @@
-"""Commands other than the uniform velocity: distributions, frames, metrics, and saved state."""
-
 import math
 
 import mujoco

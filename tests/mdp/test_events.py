@@ -1,5 +1,3 @@
-"""The values that events write."""
-
 import math
 
 import mujoco

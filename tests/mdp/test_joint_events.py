@@ -1,5 +1,3 @@
-"""Events that change joints and drives: the written numbers and the resulting motion."""
-
 import math
 
 import numpy as np
