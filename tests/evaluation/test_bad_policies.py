@@ -89,17 +89,6 @@ def test_who_never_moves_fails_at_driving_alone(found):
     assert failed[0] - failed[1] == {"walk/skill_vx", "walk/skill_wz"}
 
 
-def test_bad_policies_are_worse_in_what_they_are_bad_at(found):
-    good = found("good", "gate_walk")
-    for policy in BAD:
-        bad = found(policy, "gate_walk")
-        assert bad.value("walk/commandable_area") < good.value("walk/commandable_area")
-        assert bad.value("walk/error_vx_with_falls") > good.value("walk/error_vx_with_falls")
-        assert bad.value("walk/skill_vx") < 0.1
-    assert found("noise", "gate_walk").value("walk/survival") == 0.0
-    assert found("wrong sign", "gate_walk").value("walk/gain_vx") < -0.5
-
-
 SHARES = [f"steps/{name}_share_{axis}" for name in ("settle", "reversal", "stop") for axis in ("vx", "wz")]
 
 

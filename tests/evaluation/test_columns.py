@@ -14,7 +14,6 @@ from wheelleg_exp.evaluation.disturbance_tests import recovery
 from wheelleg_exp.evaluation.metric_catalogue import measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Motion, impact, jump, resting_sides
 from wheelleg_exp.evaluation.protocol_options import Jump, Push, Steps, Walk
-from wheelleg_exp.evaluation.trajectories import last_exit, slope
 
 WALK = Walk(
     episodes=1, horizon_s=10.0, lin_vel_x=[-0.3, 0.0, 0.3], ang_vel_z=[0.0, 0.5], steady_s=3.0, band=0.1,
@@ -71,13 +70,6 @@ def test_a_constant_drift_has_its_speed_and_its_way_since_settling():
     assert one(columns, "yaw_drift_rad_s") == pytest.approx(0.1, rel=1e-4)
     made.pos[:, 0, 0], made.pos[:, 0, 1] = 0.2 * torch.sin(math.pi * (times(made) - 1.0) / 10.0), 0.0
     assert one(motion_columns.drift(made, 1.0), "drift_max_m") == pytest.approx(0.2, rel=1e-3)  # It returns.
-
-
-def test_the_slope_of_a_line_is_its_slope_whatever_the_window():
-    values = 2.0 + 3.0 * torch.arange(100.0).unsqueeze(1) * 0.1
-    window = torch.zeros(100, 1, dtype=torch.bool)
-    window[17:43] = True
-    assert float(slope(values, window, 0.1)[0]) == pytest.approx(3.0, rel=1e-5)
 
 
 def test_legs_are_compared_by_the_sign_of_their_mirror_and_lifted_wheels_are_counted():
@@ -218,15 +210,6 @@ def test_who_never_reaches_the_band_has_not_settled():
     columns = motion_columns.responses(steps_of_a_first_order_lag(3.0), STEPS, FORWARDS)
     assert math.isnan(one(columns, "settle_s_vx"))
     assert (one(columns, "settle_did_vx"), one(columns, "stop_did_vx")) == (0.0, 0.0)
-
-
-def test_the_last_exit_counts_and_not_the_first():
-    outside = torch.zeros(100, 1, dtype=torch.bool)
-    outside[:10], outside[50:60] = True, True
-    window = torch.ones_like(outside)
-    assert float(last_exit(outside, window, 0.1)[0]) == pytest.approx(6.0)
-    outside[-1] = True
-    assert math.isnan(float(last_exit(outside, window, 0.1)[0]))
 
 
 def test_pushes_add_up_to_their_change_of_velocity_over_their_length(monkeypatch):

@@ -95,10 +95,7 @@ NO_TURNS, NO_SPEEDS = "protocol.steps.ang_vel_z=[]", "protocol.steps.lin_vel_x=[
         ("walk", ["protocol.settle_s=15"], "protocol.steps.drive_s", "15 s ends before"),
         ("walk", ["protocol.walk.ang_vel_z=[]"], "protocol.walk.ang_vel_z", "is out of range"),
         ("walk", [NO_TURNS, NO_SPEEDS], "protocol.steps.lin_vel_x", "the step test has no speed"),
-        ("push", ["protocol.push.pulses_s=[]"], "protocol.push.pulses_s", "is out of range"),
-        ("terrain", ["protocol.terrain.size=[4.0]"], "protocol.terrain.size", "is out of range"),
         ("terrain", ["protocol.strip.horizon_s=4.0"], "protocol.strip.horizon_s", "does not reach beyond the strip"),
-        ("robust", ["protocol.robust.lin_vel_x=[]"], "protocol.robust.lin_vel_x", "is out of range"),
     ],
 )
 def test_a_protocol_without_a_result_is_rejected(name, changes, key, message):

@@ -8,7 +8,6 @@ import yaml
 
 from jobs.test_play import Silent
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.run_agent import run_agent
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -66,9 +65,3 @@ def test_the_results_are_stored_below_agents_with_a_recording_unless_it_is_disab
 def test_one_episode_is_the_default():
     made = run("zero", "env.episode_length_s=0.2", steps=None)
     assert (len(Recording(made.recording).values("actions/raw")), made.figures.survival) == (12, 1.0)
-
-
-def test_wrong_input_leaves_nothing_behind(tmp_path):
-    with pytest.raises(ConfigError, match=r"recording\.env_ids"):
-        run("zero", "recording.env_ids=[2]")
-    assert not (tmp_path / "runs").exists()

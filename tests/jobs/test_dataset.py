@@ -71,8 +71,12 @@ def test_a_resume_continues_the_dataset(recorded: RunDirectory, monkeypatch, tmp
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     path = tmp_path / "runs" / "stand" / recorded.id
     shutil.copytree(recorded.path, path)
-    (path / "dataset" / f"{ITERATIONS:06d}.npz").write_bytes(b"of a process that was killed")
+    (path / "dataset" / "failed").mkdir()
+    killed = [path / "dataset" / name for name in ("000001_unfinished.npz", "failed/000009.npz")]
+    for left in (*killed, path / "dataset" / f"{ITERATIONS:06d}.npz"):
+        left.write_bytes(b"of a process that was killed")
     succeed("resume", path, f"agent.max_iterations={ITERATIONS + 2}")
+    assert [left for left in killed if left.exists()] == []
     found = np.load(max(dataset_files_from(path / "dataset", ITERATIONS)))
     assert len(found["episode/env"]) > 0
     assert (found["episode/last_step"] - found["episode/length"] >= 24 * ITERATIONS).all()
@@ -87,11 +91,3 @@ def test_an_agent_s_episodes_are_in_one_file(tmp_path):
     found = episodes(path)
     assert sorted(episode["env"] for episode in found) == list(range(NUM_ENVS))
     assert all(np.abs(episode["actions"]).max() <= 1.0 for episode in found)
-
-
-def test_files_past_a_checkpoint_and_of_unfinished_episodes_are_found(tmp_path):
-    for name in ("000001.npz", "000002.npz", "failed/000003.npz", "000001_unfinished.npz", "notes.npz"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).touch()
-    found = {path.relative_to(tmp_path).as_posix() for path in dataset_files_from(tmp_path, 2)}
-    assert found == {"000002.npz", "failed/000003.npz", "000001_unfinished.npz"}

@@ -45,7 +45,6 @@ def test_a_wrong_protocol_robot_or_unread_override_is_refused(run, overrides, wo
 
 UNREAD = ["env.rewards.alive.weight=9", "~env.rewards.alive", "env.num_envs=4", "env.episode_length_s=9.0"]
 UNREAD += ["env.events.push_robot.velocity_range.x=[-1.0,1.0]", "env.terminations.time_out=null", "agent.device=cuda"]
-UNREAD += ["agent.algorithm.gamma=0.5", "agent.critic.activation=relu", "agent.max_iterations=3"]
 
 
 @pytest.mark.parametrize("override", UNREAD)
@@ -62,10 +61,7 @@ def test_an_override_that_no_evaluation_reads_is_refused_by_name(run, override):
     [
         "env.sim.dt=0.002",
         "env.rewards.base_height.target_height=0.08",
-        "~env.events.reset_base",
-        "env.scene.terrain.static_friction=0.4",
         "+agent.clip_actions=1.0",
-        "agent.torch_threads=2",
         "env.decimation=2",  # The override repeats the run's own value.
         "protocol.ground=own env.scene.terrain.restitution=0.1",
     ],

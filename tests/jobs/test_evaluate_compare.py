@@ -60,10 +60,6 @@ def test_a_missing_run_or_checkpoint_is_reported_before_any_evaluation(run, word
     assert not run.evaluation.exists()
 
 
-def test_a_misspelt_reference_is_recognised(run):
-    assert "did you mean 'reference'?" in refused("evaluate", run.path, "--against", "refrence", *SHORT)
-
-
 def test_one_training_named_twice_does_not_count_as_two_seeds(run):
     assert "is named twice" in refused("evaluate", run.path, run.path, *SHORT)
 
@@ -82,14 +78,6 @@ def test_a_cached_evaluation_is_found_under_any_spelling_of_its_protocol(run):
     assert other["folder"] != first["folder"]
     finer = evaluated(run.path, "env.sim.dt=0.004", "--stored")
     assert finer["folder"] not in (first["folder"], other["folder"])
-
-
-def test_metrics_without_a_value_in_any_episode_share_one_line(run):
-    alone = succeed("evaluate", run.path, *SHORT).out
-    assert "no episode has a value for: drift, " in alone
-    assert not [line for line in alone.splitlines() if line.split()[:3:2] == ["drift", "-"]]
-    compared = succeed("evaluate", run.path, "--against", "reference", "--stored", *SHORT).out
-    assert "no episode has a value for: stand/cost_of_transport_gross, " in compared
 
 
 def test_evaluations_of_different_scenarios_and_damaged_evaluations_are_refused(run):

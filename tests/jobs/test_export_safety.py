@@ -157,8 +157,8 @@ def add(name: str, value: float, column: int) -> Callable:
     return lambda readings, *times: put(name, readings[name][column] + value, column)(readings, *times)
 
 
-def every(value: float | None) -> Callable:
-    return lambda readings, *times: ({n: value and np.full(len(r), value) for n, r in readings.items()}, *times)
+def lose_all(readings, *times):
+    return dict.fromkeys(readings), *times
 
 
 NAN, PI2 = np.nan, 2 * np.pi
@@ -167,33 +167,22 @@ BACK = [STOPPED, OK]  # after a stop: good readings for ``stopped_s``, 2 steps
 # Each fault: its number of control steps, its change of the inputs, and the statuses from its first step on.
 FAULTS: dict[str, tuple[int, Callable, list[int]]] = {
     "gyroscope NaN": (3, put("base_ang_vel", [NAN] * 3), [HELD] * 3 + [OK]),
-    "gravity NaN": (3, put("projected_gravity", [NAN] * 3), [HELD] * 3 + [OK]),
-    "positions NaN": (3, put("joint_pos", [NAN] * 6), [HELD] * 3 + [OK]),
     "one speed NaN": (3, put("joint_vel", NAN, 3), [HELD] * 3 + [OK]),
     "command NaN for good": (130, put("commands.base_velocity", [NAN] * 3), [HELD] * 130),
     "command beyond its range": (130, put("commands.base_velocity", [9.0, 0.0, 0.0]), [OK] * 130),
-    "all NaN": (3, every(NAN), [HELD] * 3 + [OK]),
-    "inf": (1, put("base_ang_vel", np.inf, 1), [HELD, OK]),
-    "huge": (1, put("joint_vel", 1e300, 4), [HELD, OK]),
-    "beyond the range of the gyroscope": (1, put("base_ang_vel", 36.0, 0), [HELD, OK]),
     "joint beyond its stop": (1, put("joint_pos", 1.95, 0), [HELD, OK]),
     "encoder starts from another angle": (140, add("joint_pos", 2.0, 4), [HELD, OK]),
     "wheel encoder wraps for good": (130, add("joint_pos", -PI2, 5), [OK] * 130),
     "leg encoder wraps for one sample": (1, add("joint_pos", PI2, 2), [OK, OK]),
-    "leg encoder wraps twice for good": (130, add("joint_pos", 2 * PI2, 1), [OK] * 130),
     "two joints exchanged": (1, lambda r, *t: (r | {"joint_pos": r["joint_pos"][[2, 1, 0, 3, 4, 5]]}, *t), [HELD, OK]),
-    "lost for 1 step": (1, every(None), [HELD, OK]),
-    "lost for 3 steps": (3, every(None), [HELD] * 3 + [OK]),
-    "lost for 10 steps": (10, every(None), STOPS + [STOPPED] * 6 + BACK),
+    "lost for 3 steps": (3, lose_all, [HELD] * 3 + [OK]),
+    "lost for 10 steps": (10, lose_all, STOPS + [STOPPED] * 6 + BACK),
     "one reading lost for 5 steps": (5, put("joint_vel", None), [*STOPS, STOPPED, *BACK]),
     "text": (1, put("base_ang_vel", "none"), [HELD, OK]),
     "old timestamp": (5, lambda r, t, n: (r, (START - 1) / 60, n), [OK, OK, *[HELD] * 3, OK]),
-    "old timestamp for 7 steps": (7, lambda r, t, n: (r, (START - 1) / 60, n), [OK, OK, *STOPS, STOPPED, *BACK]),
     "same time again": (2, lambda r, t, n: (r, (START - 1) / 60, (START - 1) / 60), [HELD, HELD, LATE, OK]),
     "time NaN": (1, lambda r, t, n: (r, NAN, n), [HELD, OK]),
-    "time from the future": (1, lambda r, t, n: (r, t + 1.0, n), [HELD, OK]),
     "1 missed step": (1, lambda *_: None, [LATE, OK]),
-    "2 missed steps": (2, lambda *_: None, [LATE, OK]),
     "5 missed steps": (5, lambda *_: None, [STOPPED, *BACK]),
     "clock back by 2 steps": (1, lambda r, t, n: (r, t - 2 / 60, n - 2 / 60), [HELD, LATE, OK]),
     "clock back by 1 s": (1, lambda r, t, n: (r, t - 1.0, n - 1.0), [HELD, STOPPED, *BACK]),
@@ -384,17 +373,6 @@ def test_the_start_up_rests_lifts_and_runs(bundle):
     loop.check()
 
 
-def test_a_stop_during_the_lift_does_not_raise_the_gain(bundle):
-    loop = Loop(bundle, startup=True)
-    loop.step(held_up=True)
-    while loop.targets["gain"] < 0.05 and loop.steps < 400:
-        loop.step(held_up=True)
-    for _ in range(4):
-        loop.step(every(None), held_up=True)
-    assert (loop.statuses[-2:], loop.targets["gain"]) == ([STARTING, STOPPED], loop.outputs[-2]["gain"])
-    loop.check()
-
-
 def test_a_network_whose_output_is_too_large_stops_the_robot(bundle, tmp_path):
     replace_network(shutil.copytree(bundle, tmp_path / "bundle"), [27], [1e30])
     (tmp_path / "bundle" / "driver").unlink(missing_ok=True)
@@ -463,14 +441,3 @@ def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path)
     for name in (b"exp", b"expm1", b"tanh", b"log1p"):
         assert b"\0" + name + b"f\0" in object_file
         assert b"\0" + name + b"\0" not in object_file
-
-
-def test_a_log_has_an_orientation_that_the_first_row_lacks(bundle, tmp_path):
-    policy = runner.Policy(bundle)
-    log = runner.Log(tmp_path / "log.csv", policy)
-    for time, readings in ((0.0, {}), (1 / 60, {"base_quat": [0.8, 0.0, 0.6, 0.0]})):
-        log.write(time, readings, policy.update(readings, time))
-    first, second = csv.DictReader((tmp_path / "log.csv").read_text().splitlines())
-    gravity = [f"projected_gravity.{axis}" for axis in "xyz"]
-    assert [first[name] for name in gravity] == [""] * 3
-    assert [float(second[name]) for name in gravity] == pytest.approx([0.96, 0.0, -0.28])

@@ -132,22 +132,6 @@ def test_a_play_reports_rewards_that_are_not_finite_and_leaves_their_episodes_ou
     assert "ended by numbers that are not finite: env.rewards.alive  1" in said.out
 
 
-def test_a_policy_with_nan_actions_fails_its_play(run, monkeypatch):
-    from wheelleg_exp.jobs import play_policy as module
-
-    load = module.load_policy
-
-    def spoiled(*words):
-        policy = load(*words)
-        return lambda observations: policy(observations) * math.nan
-
-    monkeypatch.setattr(module, "load_policy", spoiled)
-    said = wheelleg("play", run.path, "recording.enabled=false")
-    assert said.status == 3
-    assert "error: agent.actor: the policy's actions are not finite in 16 of 16 environments" in said.err
-    assert not run.play.exists() or not list(run.play.iterdir())
-
-
 @pytest.mark.parametrize("agent", ["zero-agent", "random-agent"])
 def test_an_agent_reports_rewards_that_are_not_finite(agent, tmp_path, monkeypatch):
     spoil(monkeypatch, range(10**9))

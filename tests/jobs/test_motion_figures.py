@@ -75,25 +75,6 @@ def test_torques_by_hand():
     assert found.sign_changes_per_s == pytest.approx({"leg": 2 / (5 * STEP), "wheel": 3 / (5 * STEP)})
 
 
-def test_torques_of_every_physics_step_count():
-    env, meter = moving()
-    for _ in range(3):
-        env.data.applied_torque = torch.full((2, 2), -1.0)
-        for sensor in env.scene.sensors.values():
-            sensor.update()
-        env.step(meter, torque=((7.0, 7.0),) * 2)
-    found = meter.figures()
-    assert found.torque_rms_nm == pytest.approx({"leg": 5.0, "wheel": 5.0})
-    assert found.sign_changes_per_s == pytest.approx({"leg": 5 / (3 * STEP), "wheel": 5 / (3 * STEP)})
-
-
-def test_torques_too_small_to_have_a_sign_take_the_previous_sign():
-    env, meter = moving()
-    for leg in (1.0, -0.001, 1.0, -0.001):
-        env.step(meter, torque=((leg, 0.0),) * 2)
-    assert meter.figures().sign_changes_per_s["leg"] == 0.0
-
-
 def test_what_only_swings_the_armature_is_no_power():
     env, meter = moving()
     env.data.joint_armature[:] = 0.5

@@ -12,8 +12,7 @@ import torch
 import yaml
 
 from jobs.small import ITERATIONS, copied, manifest
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
-from wheelleg_exp.jobs import play_policy as play_job
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import play
 from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -120,14 +119,6 @@ def test_figures_and_recording_name_the_played_policy_and_its_result(run):
     assert {"git", "command", "checkpoint"} <= set(texts)
 
 
-def test_at_the_size_limit_a_play_continues_unrecorded(run):
-    done = played(run, "env.num_envs=1", "recording.max_mb=0")
-    recording = Recording(done.recording)
-    assert not recording.has_rows("base/height")
-    (text,) = recording.table("log/recording").column("text").to_pylist()
-    assert (text, done.figures.episodes) == (["the limit of 0 MB is reached; later steps are not recorded"], 1)
-
-
 def test_unrecorded_plays_write_no_recording_and_do_not_share_a_folder(run):
     made = [played(run, "env.num_envs=1", "recording.enabled=false") for _ in range(2)]
     assert len({done.folder for done in made}) == 2
@@ -178,14 +169,6 @@ def test_a_term_that_is_null_is_played_without_as_in_training(run):
     assert [name for name in rewards("seed=0") if name not in removed] == ["alive"]
 
 
-def test_a_run_that_is_removed_while_it_is_played_fails_the_play(run, monkeypatch):
-    roll = play_job._roll
-    monkeypatch.setattr(play_job, "_roll", lambda *rest: (roll(*rest), shutil.rmtree(run.path)))
-    with pytest.raises(SimulationFailure, match="no manifest"):
-        played(run, "recording.enabled=false", "env.num_envs=2")
-    assert not list(run.path.rglob("figures.json"))
-
-
 def test_a_play_ends_when_the_last_first_episode_does(run):
     display = Silent()
     play(run, None, ["env.num_envs=2", "recording.enabled=false"], ["wheelleg", "play"], display)
@@ -197,25 +180,12 @@ def test_a_play_ends_when_the_last_first_episode_does(run):
     [
         ("env.num_evns=4", "env.num_evns"),
         ("env.num_envs=0", "env.num_envs"),
-        ("env.num_envs=four", "env.num_envs"),
-        ("env.rewards.alive.wieght=1", "env.rewards.alive.wieght"),
-        ("env.rewards.alive.weight=heavy", "env.rewards.alive.weight"),
         ("env.rewards.alive._target_=os.system", "env.rewards.alive._target_"),
-        ("env.rewards.base_height.target_height=null", "env.rewards.base_height.target_height"),
         ("env.robot.asset=other.usda", "env.robot.asset"),
         ("env.robot.base=fixed", "env.robot.base"),
-        ("env=5", "env"),
-        ("seed=x", "seed"),
         ("seed=-1", "seed"),
-        ("play.settle_s=x", "play.settle_s"),
         ("play.settle_s=-1", "play.settle_s"),
         ("recording.env_ids=[99]", "recording.env_ids"),
-        ("recording.enabled=perhaps", "recording.enabled"),
-        ("recording.max_mb=-1", "recording.max_mb"),
-        ("recording.live=maybe", "recording.live"),
-        ("agent.torch_threads=0", "agent.torch_threads"),
-        ("agent.device=cuda", "agent.device"),
-        ("agent.max_iterations=3", "agent.max_iterations"),
         ("agent.critic.hidden_dims=[4]", "agent.critic.hidden_dims"),
     ],
 )

@@ -105,20 +105,6 @@ def test_a_stop_ends_running_jobs_and_removes_waiting_jobs_from_the_queue(stop):
     assert [told for told in seen.told if told[0] == "ended"] == [("ended", 1, "interrupted")]
 
 
-def test_a_job_that_its_queue_loses_has_failed(stop):
-    runner, queue = swept(["finish"], stop, full=0)
-    submit = queue.submit
-
-    def losing(jobs):
-        (ticket,) = submit(jobs)
-        ticket.cancelled = True
-        return [ticket]
-
-    queue.submit = losing
-    assert runner.run() == "failed"
-    assert "ended from outside, as the test's job" in index()["jobs"][0]["error"]["message"]
-
-
 def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     def refuse(jobs):
         raise ConfigError("the queue did not take the jobs", key="hydra.launcher")
@@ -131,14 +117,6 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
         runner.run()
     assert (len(looks), index()["status"]) == (1, "failed")
     assert [job["status"] for job in index()["jobs"]] == ["failed", "failed"]
-
-
-def test_a_stop_before_jobs_are_handed_in_hands_in_none(stop):
-    runner, queue = swept(["finish"], stop)
-    start = queue.start
-    queue.start = lambda *args: (start(*args), os.kill(os.getpid(), signal.SIGINT))[0]
-    assert (runner.run(), queue.handed_in) == ("interrupted", [])
-    assert [job["status"] for job in index()["jobs"]] == ["waiting"]
 
 
 def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):

@@ -259,15 +259,3 @@ def test_a_source_that_was_not_stored_is_reported(run, clone):
     change_manifest(run)
     said = refused(run, "--repository", clone)
     assert "source of the run was not captured (patch_too_large): the patch has 80 MB" in said
-
-
-def test_code_older_than_replays_is_reported(run, clones, tmp_path):
-    old = tmp_path / "old"
-    (old / "wheelleg_exp").mkdir(parents=True)
-    (old / "wheelleg_exp" / "__init__.py").write_text("")
-    commit(old)
-    (run / "source" / "source.patch").write_bytes(b"")
-    facts = {"commit": git(old, "rev-parse", "HEAD"), "tree": git(old, "rev-parse", "HEAD^{tree}"), "patch_bytes": 0}
-    change_record(run, **facts, patch_sha256=hashlib.sha256(b"").hexdigest())
-    change_manifest(run)
-    assert "is too old for a replay" in refused(run, *of([old, *clones]))

@@ -14,10 +14,9 @@ import pytest
 
 from jobs.small import copied, succeed
 from wheelleg_exp.cli.main import main
-from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_json, write_text
 from wheelleg_exp.jobs import reproduce_result as again_of
-from wheelleg_exp.jobs import result_record as records
 from wheelleg_exp.jobs.result_record import (
     machines_of,
     read_manifests,
@@ -32,7 +31,6 @@ from wheelleg_exp.paths import TEACHER, configs_dir
 from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.records import read_record as read_facts
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
 
@@ -141,16 +139,6 @@ def test_a_page_changed_by_hand_is_reported_before_training(written, capsys):
     assert status == 2
     assert "small.md: the result's page and the result's JSON file differ" in told
     assert "wheelleg train" not in told
-
-
-def test_folders_of_the_user_are_passed_on(written, capsys, monkeypatch):
-    def train(words, config_dirs):
-        raise SimulationFailure(f"{words} {config_dirs}")
-
-    monkeypatch.setattr(again_of, "_train", train)
-    status, told = again(written, capsys, "--config-dir", str(written))
-    assert status == 3
-    assert str([written]) in told.splitlines()[-1]
 
 
 @pytest.mark.parametrize("word", ["--reference", "--stored"])
@@ -311,24 +299,6 @@ def test_runs_of_one_result_differ_by_their_seed_alone(run):
             require_one_method([run, other])
 
 
-@pytest.mark.parametrize(
-    ("words", "iteration", "said"),
-    [
-        (["env.num_envs=8"], 9, "the run it starts with was trained with env.num_envs=8"),
-        ([], 19, "it starts with another checkpoint"),
-    ],
-)
-def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iteration, said):
-    def begun(iteration: int, *words: str) -> dict[str, Any]:
-        parent = {"overrides": ["task=walk", *words], "begins_with": None, "iteration": None}
-        return {"overrides": ["task=velocity"], "begins_with": parent, "iteration": iteration}
-
-    recipes = iter([begun(9), begun(iteration, *words)])
-    monkeypatch.setattr(records, "recipe", lambda _: next(recipes))
-    with pytest.raises(RunDirectoryError, match=f"was trained differently from {run.id}: {said};"):
-        require_one_method([run, run])
-
-
 def test_a_student_is_no_result_because_its_teacher_is_not_stored(run):
     (run.asset / TEACHER).parent.mkdir(exist_ok=True)
     (run.asset / TEACHER).write_bytes(b"")
@@ -336,28 +306,11 @@ def test_a_student_is_no_result_because_its_teacher_is_not_stored(run):
         recipe(run)
 
 
-def test_a_missing_page_is_reported_with_the_existing_pages(written, capsys):
-    assert main(["results", "smal", "--again", "--into", str(written)]) == 2
-    said = capsys.readouterr().err
-    assert "there is no result 'smal'" in said
-    assert "names of results with --again, no runs and no overrides: small; did you mean 'small'?" in said
-
-
 @pytest.mark.parametrize("name", ["../outside", "a/b", "", ".."])
 def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
     assert main(["results", name, str(run.path), *SHORT, "--into", str(tmp_path / "results")]) == 2
     assert "is not a valid name for a results page" in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.md"))
-
-
-def test_the_verdict_states_where_equal_bits_are_promised():
-    cpu = FactDifference("hardware", "cpu", "AMD", "Intel", "another CPU")
-    assert again_of.Reproduction([], [], False).verdict == "reproduced to the bit"
-    same = again_of.Reproduction(["a is 1, and was 2"], [], False).verdict
-    assert same == "not reproduced to the bit, with the same source, on the same kind of machine"
-    other = again_of.Reproduction(["a is 1, and was 2"], [cpu], True).verdict
-    assert "it was made with other source files; where hardware differed (cpu was AMD, is Intel)" in other
-    assert "on the same kind of machine" in other
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)

@@ -20,7 +20,6 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs import run_sweep as runner_module
-from wheelleg_exp.jobs.run_sweep import LocalLauncher
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -39,17 +38,6 @@ def _statuses() -> list[str]:
     return [job["status"] for job in _index()["jobs"]]
 
 
-def test_all_jobs_finish(stop):
-    seen = Seen()
-    assert stand_in(["finish1", "finish2", "finish3"], stop, seen=seen).run() == "finished"
-    index = _index()
-    assert (index["status"], _statuses()) == ("finished", ["finished"] * 3)
-    assert all(job["started"] < job["ended"] for job in index["jobs"])
-    assert index["started"] <= index["jobs"][0]["started"]
-    assert index["jobs"][-1]["ended"] <= index["ended"]
-    assert ("iteration", 2, 1, 1) in seen.told
-
-
 @pytest.mark.parametrize("at_once", [1, 2, 3])
 def test_as_many_jobs_run_at_once_as_are_asked_for(stop, at_once):
     seen = Seen()
@@ -64,14 +52,6 @@ def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
     *told, last = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
     died = "its process ended with status 7 and did not say why: the last words"
     assert (told, last) == (["gone to NaN", died, "its process was ended by SIGKILL (out of memory?)"], None)
-
-
-def test_a_program_that_cannot_start_ends_the_sweep(stop):
-    runner = stand_in(["finish"], stop)
-    runner._launcher = LocalLauncher(["/there/is/no/such/program"])
-    with pytest.raises(OSError, match="program"):
-        runner.run()
-    assert _index()["status"] == "failed"
 
 
 def test_much_talk_blocks_nobody(stop):
@@ -135,22 +115,6 @@ def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
     assert runner.run() == "interrupted"
     assert "SIGKILL" in _index()["jobs"][0]["error"]["message"]
     assert not runner._running
-
-
-def test_a_third_stop_waits_for_nobody(stop):
-    runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
-    processes = []
-    end = runner._end
-
-    def interrupted_end(act, patience_s):
-        processes.extend(job.process for job in runner._running)
-        end(act, 0.0)
-        if patience_s:
-            raise KeyboardInterrupt
-
-    runner._end = interrupted_end
-    assert (runner.run(), _statuses()) == ("interrupted", ["interrupted"])
-    assert {process.returncode for process in processes} == {-signal.SIGKILL}
 
 
 def test_jobs_stop_when_the_sweep_itself_is_killed():

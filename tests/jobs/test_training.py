@@ -22,12 +22,12 @@ import yaml
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from jobs.small import ITERATIONS, NUM_ENVS, SMALL, lines, manifest, only_run, succeed, wheelleg
+from jobs.small import ITERATIONS, NUM_ENVS, SMALL, lines, manifest, only_run, wheelleg
 from wheelleg_exp.build import build_env
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.definitions import scalar_definition
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import Interrupted, SimulationFailure
+from wheelleg_exp.errors import Interrupted
 from wheelleg_exp.jobs.train import prepare_training, run_training, training_outputs
 from wheelleg_exp.jobs.train.scalar_logs import event_files, open_events
 from wheelleg_exp.mdp import observations
@@ -40,7 +40,6 @@ from wheelleg_exp.rl.options import read_agent
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run.run_directory import RunDirectory
-from wheelleg_exp.sim.batch_engine import BatchEngine
 
 pytestmark = pytest.mark.train
 
@@ -198,21 +197,6 @@ def test_a_run_whose_observations_become_nan_fails(tmp_path, monkeypatch):
     Recording(path / "recording.rrd")
 
 
-def test_physics_that_raises_fails_the_run(tmp_path, monkeypatch):
-    step, calls = BatchEngine.step, []
-
-    def broken(self):
-        calls.append(None)
-        if len(calls) > 10:
-            raise SimulationFailure("physics failed: row 3")
-        step(self)
-
-    monkeypatch.setattr(BatchEngine, "step", broken)
-    said = wheelleg("train", *SMALL, f"run.root={tmp_path}")
-    assert (said.status, status_of(only_run(tmp_path))) == (3, "failed")
-    assert "physics failed: row 3" in said.err
-
-
 def _close_the_folder(path):
     for file in path.glob("model_*.pt"):
         file.unlink()
@@ -353,10 +337,6 @@ def test_a_signal_or_a_closed_terminal_stops_the_training_after_its_iteration(st
     assert [word for word in ("interrupted", run.latest_checkpoint().name) if word not in err] == []
     assert f"resume {path.relative_to(path.parents[1].parent)}" in err or "resume stand" in err
     assert "Traceback" not in err
-
-
-def test_a_stopped_run_can_be_played(stopped):
-    succeed("play", stopped[signal.SIGINT][1], "env.num_envs=2", "recording.enabled=false")
 
 
 def test_a_missing_package_is_one_message_before_there_is_a_run(tmp_path, monkeypatch):

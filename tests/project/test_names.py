@@ -15,23 +15,14 @@ def test_valid_names_are_accepted_and_suggested_for_similar_invalid_ones(name):
     ("name", "because", "nearest"),
     [
         ("my-robot", "not a valid name of a Python package", "my_robot"),
-        ("my robot!", "not a valid name of a Python package", "my_robot"),
         ("2wheels", "not a valid name of a Python package", "robot_2wheels"),
-        ("_robot", "not a valid name of a Python package", "robot"),
-        ("robot_", "not a valid name of a Python package", "robot"),
         ("röbot", "not a valid name of a Python package", "r_bot"),
         ("", "not a valid name of a Python package", "my_robot"),
-        ("..", "not a valid name of a Python package", "my_robot"),
         ("class", "not a valid name of a Python package", "class_robot"),
         ("test", "another part of a project", "test_robot"),
-        ("configs", "another part of a project", "configs_robot"),
         ("stand", "a stock config, task/stand", "stand_robot"),
-        ("physical", "a stock config, robot/physical", "physical_robot"),
-        ("torch", "an installed Python package", "torch_robot"),
         ("wheelleg_exp", "an installed Python package", "wheelleg_exp_robot"),
-        ("json", "an installed Python package", "json_robot"),
         ("null", "a value in YAML", "null_robot"),
-        ("yes", "a value in YAML", "yes_robot"),
     ],
 )
 def test_invalid_names_are_refused_with_the_nearest_valid_name(name, because, nearest):

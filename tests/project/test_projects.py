@@ -5,7 +5,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from jobs.small import TINY, wheelleg
+from jobs.small import TINY, refused, succeed, wheelleg
 
 from wheelleg_exp import packages as projects
 from wheelleg_exp.cli.completion import answer
@@ -58,24 +58,12 @@ def here(tmp_path, monkeypatch):
     return root
 
 
-def passes(*words):
-    said = wheelleg(*words)
-    assert said.status == 0, said.err
-    return said.out
-
-
-def refused(*words):
-    said = wheelleg(*words)
-    assert said.status == 2
-    return said.err
-
-
 def test_the_configs_of_the_current_project_are_found(tmp_path, monkeypatch):
     root = project(tmp_path / "p")
     assert wheelleg("compose", "task=shelf_task").status == 2
     for folder in (root, root / "configs" / "task"):
         monkeypatch.chdir(folder)
-        assert "shelf.terms.calm" in passes("compose", "task=shelf_task", "--package", "env.rewards")
+        assert "shelf.terms.calm" in succeed("compose", "task=shelf_task", "--package", "env.rewards").out
 
 
 def test_the_nearest_project_counts(tmp_path, monkeypatch):
@@ -95,7 +83,7 @@ def test_a_pyproject_without_the_declaration_is_not_a_project(tmp_path, monkeypa
 @pytest.mark.parametrize("given", ["p", "p/configs"], ids=["its folder", "its configs"])
 def test_config_dir_names_a_project_from_elsewhere(given, tmp_path):
     project(tmp_path / "p")
-    passes("check", "--config-dir", given, "task=shelf_task")
+    succeed("check", "--config-dir", given, "task=shelf_task")
     assert (tmp_path / "p" / "ran").exists()
 
 
@@ -120,19 +108,19 @@ def test_config_dir_may_name_an_installed_package(tmp_path, monkeypatch):
 
 def test_the_code_of_a_project_runs_only_for_a_check_of_its_terms(here):
     for words in ("compose task=shelf_task --provenance", "list tasks", "list options reward", "check task=stand"):
-        passes(*words.split())
+        succeed(*words.split())
         assert not (here / "ran").exists(), words
     assert answer("wheelleg train task=sh") == ["task=shelf_task"]
     assert "env.rewards.shelf_calm." in answer("wheelleg train task=shelf_task env.rewards.shelf_c")
     assert not (here / "ran").exists()
-    passes("check", "task=shelf_task")
+    succeed("check", "task=shelf_task")
     assert (here / "ran").exists()
 
 
 def test_only_the_declared_package_of_the_folder_can_be_imported(here):
     term = "+env.rewards.x={_target_: stray.f, weight: 1.0}"
     assert "outside the allowed packages" in refused("check", "task=stand", term)
-    passes("check", "task=shelf_task")
+    succeed("check", "task=shelf_task")
     with pytest.raises(ModuleNotFoundError):
         __import__("stray")
 
@@ -169,7 +157,7 @@ def test_a_package_that_was_imported_from_elsewhere_is_refused(tmp_path, monkeyp
 def test_a_network_of_a_project_that_is_not_installed_trains(here):
     (here / "shelf" / "nets.py").write_text("from rsl_rl.models import MLPModel\n\n\nclass Mine(MLPModel):\n    pass\n")
     words = [*TINY, "agent.max_iterations=1", "recording.enabled=false", "agent.actor.class_name=shelf.nets:Mine"]
-    passes("train", "task=stand", *words)
+    succeed("train", "task=stand", *words)
 
 
 def test_a_project_of_another_user_is_used_only_if_the_command_names_it(here, monkeypatch):
@@ -179,7 +167,7 @@ def test_a_project_of_another_user_is_used_only_if_the_command_names_it(here, mo
     assert "a project of another user" in message
     assert f"--config-dir {here / 'configs'}" in message
     assert not (here / "ran").exists()
-    passes("check", "--config-dir", ".", "task=shelf_task")
+    succeed("check", "--config-dir", ".", "task=shelf_task")
 
 
 @pytest.mark.parametrize("value", ['"os"', '"wheelleg_exp"', '"not a name"', "3"])
@@ -190,7 +178,7 @@ def test_a_declaration_of_something_else_than_a_package_of_the_project_is_refuse
 
 def test_a_declared_package_that_does_not_exist_is_reported_when_it_is_used(tmp_path, monkeypatch):
     monkeypatch.chdir(project(tmp_path / "p", declares='x = "shelf"\ny = "absent"\n'))
-    passes("check", "task=shelf_task")
+    succeed("check", "task=shelf_task")
     message = refused("check", "task=stand", "+env.rewards.x={_target_: absent.f, weight: 1.0}")
     assert "the project has no package 'absent'" in message
 
@@ -198,12 +186,12 @@ def test_a_declared_package_that_does_not_exist_is_reported_when_it_is_used(tmp_
 def test_a_package_in_src_is_found(here):
     (here / "src").mkdir()
     (here / "shelf").rename(here / "src" / "shelf")
-    passes("check", "task=shelf_task")
+    succeed("check", "task=shelf_task")
 
 
 def test_an_invalid_pyproject_is_reported_only_if_it_declares_a_package(tmp_path):
     (tmp_path / "pyproject.toml").write_text("[broken\n")
-    passes("compose")
+    succeed("compose")
     (tmp_path / "pyproject.toml").write_text(DECLARED + "[broken\n")
     message = refused("compose")
     assert "the file is not valid TOML" in message

@@ -323,14 +323,6 @@ def test_gains_of_drives_in_the_file_are_used():
     assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)
 
 
-def test_every_file_is_yaml_with_a_comment_at_the_top(two):
-    robot = {"robot/mine.yaml": robot_yaml("mine", "mine/two.urdf", two)}
-    for file, text in {**config_files("mine", two), **robot}.items():
-        assert text.startswith("#"), file
-        assert yaml.safe_load(text)
-        assert all(line == line.rstrip() for line in text.splitlines()), file
-
-
 @pytest.mark.parametrize(("without", "said"), [("joint", "no joints"), ("collision", "no shape of the robot collides")])
 def test_a_robot_that_cannot_stand_is_refused(without, said, tmp_path):
     path = urdf(tmp_path)

@@ -1,20 +1,16 @@
 """One robot that is driven: commands reach it, requests are obeyed, and nothing happens unasked."""
 
 import math
-import re
-import socket
-import threading
 from dataclasses import replace
 
 import pytest
 import torch
-from patience import PATIENCE_S
 
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.config.schema import Drive
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Jump, Push, Reset
-from wheelleg_exp.jobs.drive.drive_page import DrivePage, InputServer, keys_html
+from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_page import DrivePage
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -141,18 +137,6 @@ def test_a_jump_is_commanded_once_on_request_and_repeats_from_the_script(tmp_pat
     assert {"at": 1.0, "jump": True, "for": 1.0} in session.driven.script(session.steps)
 
 
-def test_requests_of_many_threads_are_all_taken_once(tmp_path):
-    controls = Controls([Axis("a", "t", "a", -1.0, 1.0)])
-    threads = [threading.Thread(target=lambda: [controls.request(Reset()) for _ in range(100)]) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    taken = []
-    while any(thread.is_alive() for thread in threads):
-        taken += controls.take()
-    taken += controls.take()
-    assert (len(taken), controls.take()) == (400, [])
-
-
 def test_the_key_for_getting_up_hands_over_and_back(tmp_path):
     pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
     session, options, asked = cart(tmp_path), replace(OPTIONS, get_up="stock:get_up"), []
@@ -168,55 +152,3 @@ def test_the_key_for_getting_up_hands_over_and_back(tmp_path):
         page.open(session, Choose(), options, [tmp_path / "model_1.pt"])
         page._hands.press("get_up")
     assert session.controls.take() == []
-
-
-def test_a_reward_of_weight_0_is_not_shown(tmp_path):
-    alive = {"_target_": "wheelleg_exp.mdp.rewards.is_alive", "weight": 2.0}
-    session = cart(tmp_path, rewards={"alive": alive, "off": {**alive, "weight": 0.0}})
-    session.step()
-    assert session.status().rewards == {"alive": 2.0}
-
-
-def test_the_page_lists_the_keys_of_the_task():
-    def listed(*has):
-        return " ".join(re.sub("<.*?>", " ", keys_html(has)).split())
-
-    always = "R reset X stop M slow Space pause"
-    assert listed() == f"F push {always}"
-    assert listed("lin_vel_x", "jump", "get_up") == f"W S drive J jump F push U get up {always}"
-
-
-def test_the_robot_fills_the_view_and_the_ground_follows_it(tmp_path):
-    pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
-    session = cart(tmp_path)
-    session.controls.set("lin_vel_x", 0.4)
-    drive(session, 3.0)
-    with DrivePage(0, ["own"], []) as page:
-        page.open(session, Choose(), OPTIONS, [tmp_path / "model_1.pt"])
-        page.show(session.status())
-        camera, (ground,) = page._server.initial_camera, page._grounds.values()
-    away = math.dist(camera.position, camera.look_at)
-    radius = math.hypot(0.1, 0.1) + 0.05  # of the sphere around the cart's wheels, m
-    assert 0.8 < radius / (away * math.tan(0.5 * camera.fov)) < 1.0
-    x, y = session.env.scene.robot.data.root_pos_w[0, :2].tolist()
-    assert x > 1.0
-    for robot, tiles in zip((x, y, 0.0), ground.position, strict=True):
-        assert -1e-6 <= robot - tiles < 0.2  # Two tiles of 0.1 m repeat.
-        assert tiles / 0.2 == pytest.approx(round(tiles / 0.2))
-
-
-def test_a_wrong_message_prints_no_traceback(capfd):
-    from websockets.exceptions import ConnectionClosed
-    from websockets.sync.client import connect
-
-    controls = Controls([])
-    with InputServer(controls, ["http://here"]) as server:
-        port = server._server.socket.getsockname()[1]
-        with connect(f"ws://127.0.0.1:{port}", origin="http://here") as page:
-            page.send("x" * 1025)
-            with pytest.raises(ConnectionClosed):
-                page.recv(timeout=PATIENCE_S)
-        with socket.create_connection(("127.0.0.1", port)) as stranger:
-            stranger.sendall(b"nonsense\r\n\r\n")
-            stranger.recv(100)
-    assert "Traceback" not in "".join(capfd.readouterr())
