@@ -146,11 +146,3 @@ def test_driving_the_wrong_way_is_worse_than_standing(found):
         assert walked.value(f"walk/error_{axis}") > 1.8 * still
     assert walked.value("walk/commandable_area") <= 1 / 9
     assert {walked.value(name) for name in SHARES} == {0.0}
-
-
-def test_who_is_good_has_what_the_bad_ones_have_not(found):
-    walked = found("good", "walk")
-    assert walked.value("walk/commandable_area") > 0.5
-    assert walked.value("walk/skill_vx") > 0.8
-    assert walked.value("steps/stop_share_vx") > 0.0
-    assert walked.value("steps/stop_distance_vx") > 0.01

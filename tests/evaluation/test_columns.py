@@ -293,13 +293,6 @@ def test_hops_do_not_add_up_to_a_flight():
     assert float(found["span_m"]) == pytest.approx(12 * DT * 0.3, rel=1e-3)
 
 
-def test_an_impact_before_the_jump_does_not_count():
-    made = still(2.0)
-    made.vel[:10, :, 2] = -0.5
-    motion = Motion(made, parts(), 1.0)
-    assert [float(impact(motion, begin)["impact_m_s"]) for begin in (0.0, 1.0)] == pytest.approx([0.5, 0.0])
-
-
 def test_an_impact_is_the_change_of_velocity_within_a_step():
     made = still(2.0)
     made.vel[: len(made.vel) // 2, :, 0] = 0.5  # The base stops from 0.5 m/s after a second.

@@ -423,21 +423,3 @@ def test_the_example_prints_the_log_of_the_runner(builder, bundle, tmp_path):
     statuses = [int(row[found[0].index("status")]) for row in found[1:]]
     assert (statuses[4], statuses[7], sum(statuses)) == (HELD, LATE, HELD + LATE)
     assert subprocess.run([program, "none.csv"], capture_output=True, timeout=PATIENCE_S).returncode == 1
-
-
-@NEEDS_CC
-def test_a_header_in_single_precision_calls_no_double_function(bundle, tmp_path):
-    spec = json.loads((bundle / "policy.json").read_text())
-    kinds = ["elu", "selu", "tanh", "sigmoid", "softplus", "swish", "leaky_relu"]
-    spec["network"] |= {"widths": [6] * len(kinds), "activations": kinds, "normalized": True}
-    arrays = {"mean": np.zeros(135, np.float32), "deviation": np.ones(135)}
-    for k in range(len(kinds)):
-        arrays |= {f"weight_{k}": np.zeros((6, 6 if k else 135), np.float32), f"bias_{k}": np.zeros(6, np.float32)}
-    (tmp_path / "policy.h").write_text(c_header(spec, arrays))
-    shutil.copy(DRIVER, tmp_path / "driver.c")
-    command = ["cc", *FLAGS, "-O0", "-DPOLICY_REAL=float", "-Wdouble-promotion", "-c", "driver.c", "-o", "driver.o"]
-    subprocess.run(command, cwd=tmp_path, check=True, timeout=PATIENCE_S)
-    object_file = (tmp_path / "driver.o").read_bytes()
-    for name in (b"exp", b"expm1", b"tanh", b"log1p"):
-        assert b"\0" + name + b"f\0" in object_file
-        assert b"\0" + name + b"\0" not in object_file

@@ -119,8 +119,10 @@ def test_figures_and_recording_name_the_played_policy_and_its_result(run):
     assert {"git", "command", "checkpoint"} <= set(texts)
 
 
-def test_unrecorded_plays_write_no_recording_and_do_not_share_a_folder(run):
-    made = [played(run, "env.num_envs=1", "recording.enabled=false") for _ in range(2)]
+def test_unrecorded_plays_write_no_recording_share_no_folder_and_end_with_the_last_first_episode(run):
+    display, words = Silent(), ["env.num_envs=2", "recording.enabled=false"]
+    made = [play(run, None, words, ["wheelleg", "play"], display) for _ in range(2)]
+    assert display.done <= display.total == 18
     assert len({done.folder for done in made}) == 2
     assert made[0].recording is None
     assert [p.name for p in made[0].folder.iterdir()] == ["figures.json"]
@@ -158,21 +160,6 @@ def test_an_override_of_a_disturbance_needs_the_conditions_of_the_training(run):
     with pytest.raises(ConfigError, match=r"ignores the key.*expected play\.conditions=training"):
         played(run, *words)
     assert played(run, *words, "play.conditions=training").figures.episodes == 1
-
-
-def test_a_term_that_is_null_is_played_without_as_in_training(run):
-    def rewards(override):
-        return Recording(played(run, "env.num_envs=2", "env.episode_length_s=0.1", override).recording).names("rewards")
-
-    removed = rewards("~env.rewards.alive")
-    assert rewards("env.rewards.alive=null") == removed
-    assert [name for name in rewards("seed=0") if name not in removed] == ["alive"]
-
-
-def test_a_play_ends_when_the_last_first_episode_does(run):
-    display = Silent()
-    play(run, None, ["env.num_envs=2", "recording.enabled=false"], ["wheelleg", "play"], display)
-    assert display.done <= display.total == 18
 
 
 @pytest.mark.parametrize(

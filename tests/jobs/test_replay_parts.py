@@ -33,12 +33,6 @@ from wheelleg_exp.run.source_snapshot import snapshot_source
             [],
             {"PATH": "/bin", "MKL_CBWR": "AVX2,STRICT", "OPENBLAS_CORETYPE": "Haswell", "WHEELLEG_CACHE": "/here"},
         ),
-        (
-            {"LD_PRELOAD": "/evil.so", "TORCH_HOME": "/there", "OMP_NUM_THREADS": "2", "CUDA_VISIBLE_DEVICES": "0"},
-            {"PYTHONPATH": "/here"},
-            [],
-            {"OMP_NUM_THREADS": "2", "PYTHONPATH": "/here"},
-        ),
         ({"ROBOT_MASS": "2.5", "LANG": "C"}, {"ROBOT_MASS": "3"}, ["ROBOT_MASS"], {"ROBOT_MASS": "2.5"}),
     ],
 )

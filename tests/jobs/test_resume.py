@@ -303,18 +303,6 @@ def test_a_crash_while_changed_settings_are_written_is_made_good(run, monkeypatc
     assert not [f for f in RunDirectory.open(run, run.parents[1]).manifest().compare_files().changed]
 
 
-def test_results_describe_the_last_iteration_and_not_the_one_before_the_resume(run, straight):
-    change_manifest(run, results={**manifest(run)["results"], "stuck_curricula": ["old"], "non_finite": {"a": 1}})
-    log = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
-    log[-1]["scalars"]["Episode_Termination/rare"] = 1.0
-    (run / "iterations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in log))
-    resume(run, "agent.max_iterations=5")
-    found, last = manifest(run)["results"], lines(run)[-1]["scalars"]
-    assert (found["iterations"], found["checkpoint"]) == (5, "model_4.pt")
-    assert {name for name in found if "/" in name} == {name for name in last if name in found}
-    assert not {"stuck_curricula", "non_finite", "Episode_Termination/rare"} & found.keys()
-
-
 def test_another_machine_ends_exactness(run, monkeypatch):
     present = environment.versions()
     assert manifest(run)["engine"]["version"] == present["mujoco-core"] == mujoco.mj_versionString()

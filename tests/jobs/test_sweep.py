@@ -76,13 +76,11 @@ def test_the_index_describes_each_job_while_it_runs(stop):
     assert runs == ["../../stand/finish1", "../../stand/finish3"]
 
 
-@pytest.mark.parametrize("kind", [SimulationFailure, RunDirectoryError])
-def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch, kind):
+def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch):
     runner = stand_in(["wait", "finish"], stop, 2)
-    broken = kind("the disk is full")
 
     def refuse(*_, **__):
-        raise broken
+        raise RunDirectoryError("the disk is full")
 
     monkeypatch.setattr(runner._index, "job_ended", refuse)
     with pytest.raises(SimulationFailure, match="disk is full"):

@@ -29,7 +29,6 @@ from wheelleg_exp.definitions import scalar_definition
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import Interrupted
 from wheelleg_exp.jobs.train import prepare_training, run_training, training_outputs
-from wheelleg_exp.jobs.train.scalar_logs import event_files, open_events
 from wheelleg_exp.mdp import observations
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -346,16 +345,3 @@ def test_a_missing_package_is_one_message_before_there_is_a_run(tmp_path, monkey
     assert "pip install wheelleg_exp[wandb]" in " ".join(said.err.split())
     assert "Traceback" not in said.err
     assert not (tmp_path / "runs").exists()
-
-
-def test_files_begun_in_a_moment_are_read_in_their_order(tmp_path: Path) -> None:
-    with open_events(tmp_path) as writer:
-        writer.add_scalar("a", 0.0, 0)
-    (first,) = event_files(tmp_path)
-    older = first.rename(first.with_name(f"{first.name.rpartition('.')[0]}.9x"))  # sorts after any number
-    with open_events(tmp_path) as writer:
-        writer.add_scalar("a", 1.0, 1)
-    assert event_files(tmp_path)[0] == older
-    accumulator = EventAccumulator(str(tmp_path))
-    accumulator.Reload()
-    assert [event.step for event in accumulator.Scalars("a")] == [0, 1]
