@@ -89,6 +89,7 @@ def test_ranks_that_point_another_way_than_median_and_mean_are_no_verdict():
     sure = replace(row, p=0.01)
     assert sure.outcome == ""
     assert replace(sure, test=replace(row.test, effect=0.3)).outcome == "worse"
+    assert replace(sure, test=replace(row.test, effect=0.3, difference=-1e-3)).outcome == ""
 
 
 def pushed(kick, pulse) -> Evaluation:
