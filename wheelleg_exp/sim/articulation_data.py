@@ -33,13 +33,11 @@ _UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "de
 class ArticulationData(Stateful):
     """The robot's state and parameters: float32, N environments, joints and bodies in the robot's order; always fresh.
 
-    Each quantity is computed at its first read after a change of the robot's state. The suffix ``_w`` of an attribute
-    name means world axes, and the suffix ``_b`` means the axes of a link.
-    Velocities refer to centres of mass of bodies, unless the attribute name contains ``link``. Poses refer to link
-    frames, unless the attribute name contains ``com``. A pose is a position, m, and a quaternion (w, x, y, z). A
-    velocity consists of a linear velocity, m/s, and an angular velocity, rad/s. A state, such as ``root_state_w``, is a
-    pose followed by a velocity. CoM means centre of mass. ``computed_torque`` returns the actuators' unclipped torques
-    (N, J) in the last physics step.
+    Each quantity is computed at its first read after a change of the state. The suffix ``_w`` means world axes, ``_b``
+    the axes of a link. Velocities refer to centres of mass (CoM), unless the name contains ``link``; poses refer to
+    link frames, unless it contains ``com``. A pose is a position, m, and a quaternion (w, x, y, z); a velocity is
+    linear, m/s, then angular, rad/s; a state, such as ``root_state_w``, is a pose followed by a velocity.
+    ``computed_torque`` (N, J) contains the actuators' unclipped torques in the last physics step.
 
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
@@ -472,8 +470,7 @@ class ArticulationData(Stateful):
     def body_com_acc_w(self) -> torch.Tensor:
         """Linear and angular accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); 0 at rest.
 
-        The acceleration of a body is the difference of its velocity over the last physics step, divided by the step.
-        After a reset or a write of velocities, all accelerations are 0 until the next physics step.
+        Computed from the velocities before and after the last physics step; 0 after a reset or a write of velocities.
         """
         if self._vel_before is None:
             # At the first read of accelerations, the bodies' velocities before the last physics step are unknown.

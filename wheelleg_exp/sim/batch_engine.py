@@ -27,8 +27,7 @@ _UNSTABLE = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("
 class BatchEngine(Engine):
     """N simulations on the CPU; each physics step is bit-identical to MuJoCo's ``mj_step``.
 
-    The number of physics threads, ``nthread``, does not change the results. The value 0 of ``nthread`` means one
-    physics thread for each CPU core that the process may use.
+    ``nthread`` does not change the results; 0 means one physics thread for each CPU core that the process may use.
     """
 
     name = "mujoco"
@@ -209,8 +208,7 @@ class GeomBoxes:
     def _spans(self, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Return the box around each ray's section inside the bounding box of all geoms, as two corners (n, R, 3).
 
-        The slab method (Kay and Kajiya 1986) clips each ray to the bounding box of all geoms. A ray that misses the
-        bounding box of all geoms gets the lower corner inf and the upper corner -inf.
+        Computed with the slab method (Kay and Kajiya 1986). A ray that misses has the corners inf and -inf.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             slope = 1.0 / np.where(directions == 0.0, 1e-300, directions)
@@ -233,8 +231,7 @@ _SHOWN, _HIDDEN = 0, 1  # geom groups
 class StaticGeoms:
     """Casts rays against a group of static geoms, whose poses and sizes are the same in all simulations.
 
-    Rays against static geoms are cast in a model without the robot, because MuJoCo tests each ray against every geom.
-    At the first ray cast, ``alone()`` makes a model of only the static geoms, which keep their names.
+    MuJoCo tests each ray against every geom, so these rays are cast in a smaller model without the robot, ``alone()``.
     """
 
     def __init__(self, model: mujoco.MjModel, group: int, alone: Callable[[], mujoco.MjModel], nthread: int) -> None:

@@ -14,12 +14,10 @@ from wheelleg_exp.state import Stateful
 class DelayBuffer(Stateful):
     """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
-    The first sample after a reset replaces all earlier samples of the environment. As in Isaac Lab, ``push`` returns
-    the first sample after a reset until ``lag`` later samples have been stored. Each reset draws an environment's lag
-    uniformly from the range ``lags``; before the first reset, the lag is 0. With ``jitter``, each call of ``push`` adds
-    a random number of 0 to ``jitter`` calls to the lag, but never returns an older sample than the call before. All
-    samples must have the shape and device of ``sample``, for example (N, 3) for N environments. The first ``prompt``
-    environments have no delay.
+    As in Isaac Lab, the first sample after a reset is returned until ``lag`` later samples have been stored. Each reset
+    draws the lag uniformly from ``lags``; before the first reset, it is 0. With ``jitter``, each call adds 0 to
+    ``jitter`` calls to the lag, but never returns an older sample than the call before. All samples have the shape and
+    device of ``sample``, for example (N, 3). The first ``prompt`` environments have no delay.
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).
@@ -75,10 +73,7 @@ class DelayBuffer(Stateful):
 
 
 class TargetDelay(Stateful):
-    """Delays the targets of a group of joints by a number of physics steps, with one lag per environment.
-
-    ``bounds`` are the shortest and longest lag, in physics steps; the joint targets have the shape ``shape`` (N, J).
-    """
+    """Delays joint targets of the shape (N, J) by one lag per environment, drawn from ``bounds``, physics steps."""
 
     def __init__(
         self, bounds: Sequence[int], joint_ids: torch.Tensor, shape: tuple[int, int], generator: torch.Generator

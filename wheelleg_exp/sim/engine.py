@@ -25,14 +25,11 @@ class Engine(Stateful, ABC):
         name: the engine's name in ``env.sim.engine``.
         exact: whether repeating a simulation gives bit-identical results.
         model: the compiled CPU model: names, ids, digests, defaults.
-        num_envs: number of simulations, N.
-        device: device of all tensors.
-        dtype: type of the engine's numbers.
         state: the numbers that determine the next step, one row per simulation, (N, k).
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
-        asked: names of the model fields, and ``WRENCHES``, that terms have obtained from the engine and may have
-            changed. After each call of an event term, the event manager deletes all names from the set ``asked``.
+        asked: names of the model fields, and ``WRENCHES``, that terms have obtained and may have changed; the event
+            manager clears it after each event term.
     """
 
     name: ClassVar[str]
@@ -69,9 +66,8 @@ class Engine(Stateful, ABC):
     def view(self, name: str) -> torch.Tensor:
         """Return a view (N, ...) of an MjData field, which always shows the present values.
 
-        Code may write to MjData's state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All MjData fields
-        except the state fields are outputs of the last physics step. Read outputs such as ``xpos`` before calling
-        ``forward``, which overwrites them.
+        Code may write to the state fields (``qpos``, ``qvel``, ``ctrl``, ``xfrc_applied``, ...). All others are outputs
+        of the last physics step, which ``forward`` overwrites.
         """
 
     @property
@@ -91,8 +87,7 @@ class Engine(Stateful, ABC):
     def expand(self, name: str) -> torch.Tensor:
         """Give a model field one value per simulation; return the tensor (N, ...), to which events can write.
 
-        Call ``set_const`` after writing a field that MuJoCo's constants depend on: masses, inertias, centres of mass,
-        armatures. No constant depends on gravity.
+        Call ``set_const`` after writing masses, inertias, centres of mass, or armatures: constants depend on them.
         """
 
     @abstractmethod
@@ -119,7 +114,7 @@ class Engine(Stateful, ABC):
     def reset(self, ids: torch.Tensor) -> None:
         """Zero the time, controls, applied forces, warm start and warnings of the simulations ``ids``.
 
-        ``reset`` replaces NaN and inf in positions and velocities by the model's defaults, and keeps finite values.
+        NaN and inf in positions and velocities become the model's defaults; finite values do not change.
         """
 
     @abstractmethod
@@ -140,14 +135,13 @@ class Engine(Stateful, ABC):
     ) -> torch.Tensor:
         """Return the distance to each ray's first hit, (n, R), in lengths of the ray's direction; -1 means no hit.
 
-        The rays' origins, m, and directions have the shape (n, R, 3) and are in world axes. Only geoms in
-        ``geom_groups`` stop a ray; None means that all geoms stop a ray. ``ids`` (n,) are the simulations in which the
-        rays are cast; None means all simulations.
+        ``origins``, m, and ``directions`` are (n, R, 3) in world axes, for the simulations ``ids`` (n,), by default
+        all. If ``geom_groups`` is not None, only geoms in these groups stop a ray.
         """
 
     def cast_alone(self, geom_group: int, alone: Callable[[], mujoco.MjModel]) -> None:
         """Declare that a group's geoms never move, so that rays against them can be cast in a model without the robot.
 
-        ``alone`` returns a MuJoCo model that contains only the geoms of the group ``geom_group``, with unchanged names.
+        ``alone`` returns a MuJoCo model that contains only the group's geoms, with unchanged names.
         """
         del geom_group, alone

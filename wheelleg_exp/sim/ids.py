@@ -35,10 +35,7 @@ def picked(values: torch.Tensor, ids: torch.Tensor | Sequence[int] | slice) -> t
 
 
 def fill_rows(values: torch.Tensor, ids: Ids, number: float) -> None:
-    """Set the rows ``ids`` of a tensor (N, ...) to a number.
-
-    A CUDA graph cannot contain ``values[ids] = number``, because this assignment copies the number from the host.
-    """
+    """Set the rows ``ids`` of a tensor (N, ...) to a number; CUDA graphs cannot contain ``values[ids] = number``."""
     if isinstance(ids, torch.Tensor) and ids.dtype is torch.int64:
         values.index_fill_(0, ids, number)
     else:

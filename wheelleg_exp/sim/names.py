@@ -22,11 +22,10 @@ def match_names(
     what: str,
     preserve_order: bool = False,
 ) -> tuple[list[int], list[str]]:
-    """Return the names that one or several regular expressions match completely, and the indices of these names.
+    """Return the indices and the names that one or several regular expressions match completely.
 
-    The matched names have the order of the robot's names, or with ``preserve_order`` the order of the regular
-    expressions. Raise ConfigError if a regular expression matches no name, or if two regular expressions match one
-    name. The error message contains the config key ``key`` and the noun ``what`` (``joint`` or ``body``).
+    They have the order of ``names``, or with ``preserve_order`` that of the expressions. Raise ConfigError, with the
+    config key ``key`` and the noun ``what``, if an expression matches no name, or two expressions match one name.
     """
     patterns = [expressions] if isinstance(expressions, str) else list(expressions)
     owner: dict[str, str] = {}
@@ -53,8 +52,7 @@ def values_by_name(
 ) -> list[float | T | D]:
     """Return one value for each name, given one number or a mapping from regular expressions to values.
 
-    A name that no regular expression matches gets the value ``default``. Raise ConfigError if a regular expression is
-    invalid or matches no name.
+    A name without a match gets ``default``. Raise ConfigError if an expression is invalid or matches no name.
     """
     if not isinstance(values, Mapping):
         return [values] * len(names)
@@ -92,10 +90,7 @@ def order_errors(order: Sequence[object], joints: Sequence[str]) -> list[ConfigE
 
 
 def shared_errors(claims: Iterable[tuple[str, str, Sequence[str]]], expected: str) -> list[ConfigError]:
-    """Return an error for each joint that two actuator groups, or two action terms, drive at once.
-
-    ``claims`` has a tuple (name, config key, driven joints) for each actuator group or action term.
-    """
+    """Return an error for each joint that two of the ``claims`` (name, config key, driven joints) drive at once."""
     owner: dict[str, str] = {}
     errors = []
     for name, key, joints in claims:

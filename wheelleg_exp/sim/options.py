@@ -1,7 +1,4 @@
-"""The dataclasses of the config section ``env``, and of its sections ``env.sim``, ``env.scene`` and ``env.robot``.
-
-Almost none has a default: the config states every number.
-"""
+"""The dataclasses of the config sections ``env``, ``env.sim``, ``env.scene`` and ``env.robot``."""
 
 from __future__ import annotations
 
@@ -27,9 +24,6 @@ class EngineKind:
         devices: regular expression of the devices on which it runs.
         exact_devices: regular expression of the devices on which it is bit-reproducible.
         inexact: why it is not bit-reproducible on other devices, as the end of a sentence.
-        packages: Python packages that it imports.
-        install: the command that installs ``packages``.
-        solvers: the constraint solvers that it has.
         reads_robot_file: whether it reads the robot's file, and not only the compiled model.
     """
 

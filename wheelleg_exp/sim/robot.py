@@ -41,16 +41,10 @@ _TENDON_PARTS = ("stiffness", "damping", "limit_stiffness", "offset")
 class Robot(Stateful):
     """The robot of the scene; its constructor adds the robot's actuators to the MuJoCo spec ``spec``.
 
-    Indices are tensors, lists or slices; None means all environments or all joints. Poses and velocities are in world
-    axes. A pose is a position (x, y, z), m, and a quaternion (w, x, y, z). A velocity is a linear velocity, m/s,
-    followed by an angular velocity, rad/s. A root state is a pose followed by a velocity. Joint parameters are a tensor
-    (n, k) for n environments and k joints, or one number for all joints. Actuator gains and limits have no effect on a
-    joint without an actuator.
-
-    Attributes:
-        num_joints: Number of joints, J.
-        num_bodies: Number of bodies, B.
-        is_fixed_base: Whether the base is fixed.
+    Indices are tensors, lists or slices; None means all. Poses and velocities are in world axes: a pose is a position,
+    m, and a quaternion (w, x, y, z); a velocity is linear, m/s, then angular, rad/s; a root state is a pose followed by
+    a velocity. Joint parameters are a tensor (n, k) for n environments and k joints, or one number. Actuator gains and
+    limits have no effect on a joint without an actuator.
     """
 
     def __init__(
@@ -234,9 +228,8 @@ class Robot(Stateful):
     ) -> tuple[list[int], list[str]]:
         """Return indices and names of matching joints; raise ConfigError if a regular expression matches no joint.
 
-        The returned joint indices refer to ``joint_subset`` if it is given, otherwise to all joints. With
-        ``preserve_order``, the joints are in the order of the regular expressions instead of the robot's order. Error
-        messages contain ``key``, the config key from which the regular expressions ``name_keys`` come.
+        Indices refer to ``joint_subset`` if given. With ``preserve_order``, the order is that of the expressions. Error
+        messages contain ``key``, the config key of the expressions.
         """
         names = self.joint_names if joint_subset is None else joint_subset
         return match_names(name_keys, names, key=key, what="joint", preserve_order=preserve_order)
@@ -365,9 +358,8 @@ class Robot(Stateful):
     ) -> None:
         """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
-        The forces act at the bodies' centres of mass, or at ``positions`` (n, k, 3), m, in the frames of the links. The
-        forces and torques on a link are in link axes and rotate with the link. If ``is_global`` is true, the arguments
-        are in world axes; afterwards, the forces and torques rotate with the links.
+        The forces act at the centres of mass, or at ``positions`` (n, k, 3), m, in link frames. The arguments are in
+        link axes, or with ``is_global`` in world axes; in both cases, forces and torques then rotate with the links.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)
@@ -498,11 +490,7 @@ class Robot(Stateful):
     def _write_drives(
         self, name: str, ids: torch.Tensor, joints: torch.Tensor | slice, values: Values
     ) -> list[tuple[slice, torch.Tensor, torch.Tensor]]:
-        """Set the parameter ``name`` of the actuators, such as ``stiffness``.
-
-        For each implicit actuator group, return the slice of its MuJoCo actuators, their new values (n, k), and a mask
-        (k,) of the joints to which new values were written.
-        """
+        """Set an actuator parameter; return each implicit group's actuators, values (n, k), and mask of joints (k,)."""
         self._has_new_targets = True  # New gains change the MuJoCo controls, even if joint targets are unchanged.
         named = torch.zeros(self.num_joints, dtype=torch.bool, device=self.device)
         named[joints] = True

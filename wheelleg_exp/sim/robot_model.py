@@ -118,8 +118,7 @@ class JointTargets(Stateful):
 def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
     """Return a robot and its root body's name; raise AssetError unless the MJCF file contains exactly one robot.
 
-    This function removes the MJCF file's actuators, keyframes and sensors, because the config defines actuators and
-    sensors.
+    Actuators, keyframes and sensors are removed, because the config defines actuators and sensors.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(mjcf))
@@ -140,9 +139,8 @@ def read_robot(mjcf: Path) -> tuple[mujoco.MjSpec, str]:
 def turn_root_frame(spec: mujoco.MjSpec, root_name: str, frame: Sequence[float]) -> None:
     """Rotate the root link's frame about its origin without moving the robot's shapes and masses.
 
-    The root link's frame must be rotated if its x axis is not forwards or its z axis is not upwards. After
-    ``turn_root_frame``, observations, rewards, commands and ``env.robot.init_state.rot`` refer to the new root frame.
-    The quaternion ``frame`` (w, x, y, z) rotates the root link's frame of the MJCF file to the new root frame.
+    ``frame`` (w, x, y, z) rotates the MJCF file's frame to a frame with x forwards and z upwards. Observations,
+    rewards, commands and ``env.robot.init_state.rot`` refer to the new frame.
     """
     root = spec.body(root_name)
     back = np.array(frame, dtype=float) / np.linalg.norm(frame)

@@ -1,7 +1,6 @@
 """Rotations of whole tensors. Quaternions are (w, x, y, z); angles are radians.
 
-In memory, the matrices (N, 3, 3) of ``quat_to_matrix`` are nine contiguous rows of N numbers, which is fast to process.
-In memory, vectors (N, 3) and quaternions (N, 4) have torch's usual contiguous layout.
+The matrices (N, 3, 3) of ``quat_to_matrix`` are nine contiguous rows of N numbers in memory, which is faster.
 """
 
 from __future__ import annotations

@@ -34,12 +34,8 @@ _FILE_PATHS = ("paths", "npaths", "nbuffer")  # The checksum of a model skips it
 class Scene(Stateful):
     """The ground, the robot and the sensors of N environments.
 
-    Members have names, as in Isaac Lab: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``
-    is called, the scene's model is a MuJoCo spec that event terms can edit. ``stream`` is a function that returns a
-    random generator for a config key.
-
-    Attributes:
-        physics_dt: Length of a physics step in s.
+    Members have Isaac Lab's names: ``scene["robot"]``, ``scene["terrain"]``, ``scene["<sensor>"]``. Until ``play``, the
+    model is a MuJoCo spec that event terms can edit. ``stream`` returns a random generator for a config key.
     """
 
     def __init__(
@@ -191,9 +187,9 @@ class Scene(Stateful):
     def get_state(self, is_relative: bool = False) -> RobotState:
         """Return the robot's state in Isaac Lab's layout: ``["articulation"]["robot"]`` and these names.
 
-        ``root_pose`` (N, 7) is a position, m, and a quaternion (w, x, y, z). With ``is_relative``, the position is
-        relative to the environment's origin. ``root_velocity`` (N, 6) is the velocity of the root's centre of mass in
-        world axes, m/s and rad/s. ``joint_position`` and ``joint_velocity`` (N, J) are in rad and rad/s.
+        ``root_pose`` (N, 7): position, m, and quaternion (w, x, y, z); relative to the environment's origin with
+        ``is_relative``. ``root_velocity`` (N, 6): of the root's centre of mass, world axes, m/s and rad/s.
+        ``joint_position`` and ``joint_velocity`` (N, J): rad and rad/s.
         """
         data = self.robot.data
         pos = data.root_pos_w - self.env_origins if is_relative else data.root_pos_w
@@ -203,10 +199,7 @@ class Scene(Stateful):
         return {"articulation": {"robot": root | joints}}
 
     def reset_to(self, state: RobotState, env_ids: torch.Tensor | None = None, is_relative: bool = False) -> None:
-        """Set the robot's state in the environments ``env_ids`` (n,); None for all.
-
-        ``state`` has the layout of ``get_state``; row i belongs to the environment ``env_ids[i]``.
-        """
+        """Set ``env_ids`` (n,), by default all environments, to the rows of ``state``, which is as in ``get_state``."""
         robot, given = self.robot, state["articulation"]["robot"]
         pos, quat = given["root_pose"].split((3, 4), dim=1)
         if is_relative:
@@ -241,8 +234,8 @@ class Scene(Stateful):
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return log entries, by name, about joints and sensors in the environments whose episodes end now.
 
-        ``joint_over_speed``: share of ``ids`` with a joint beyond its velocity limit in its last step; PhysX would have
-        clamped the speed. ``<sensor>_...``: entries of each sensor.
+        ``joint_over_speed`` is the share of ``ids`` with a joint beyond its velocity limit, which PhysX would enforce;
+        ``<sensor>_...`` are entries of a sensor.
         """
         data = self.robot.data
         speed, limit = data.joint_vel.index_select(0, ids).abs(), data.soft_joint_vel_limits.index_select(0, ids)
@@ -275,7 +268,6 @@ class Scene(Stateful):
 
 
 def _set_geoms(spec: mujoco.MjSpec, robot: RobotOptions, ground_friction: float) -> None:
-    """Set the geom groups, by which rays select the ground, and the collisions and friction of the robot's geoms."""
     for geom in spec.geoms:
         if is_ground(geom.name):
             geom.group = GROUND_GROUP

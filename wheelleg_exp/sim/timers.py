@@ -1,7 +1,6 @@
 """Check on the host, without waiting for the GPU, whether countdown timers on a GPU may have expired.
 
-The smallest remaining time of all timers is copied from the GPU to the host asynchronously every few steps. No timer
-on the GPU can expire before the smallest remaining time of all timers has passed.
+The smallest remaining time is copied to the host every few steps; until it has passed, no timer can expire.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ _SLACK = 1e-3  # s
 def may_be_due(timers: torch.Tensor, least: float, dt: float) -> bool:
     """Return False if none of the ``timers`` on a GPU can have expired; always return True for timers on a CPU.
 
-    ``timers`` (n,) has the remaining time of each timer, s. ``dt`` is the time since the last call of ``may_be_due``,
-    s. A timer that expires must be restarted with at least ``least`` seconds. Code that sets a timer to less than
-    ``least`` seconds must call ``forget`` afterwards.
+    ``timers`` (n,) has the remaining times, s; ``dt`` is the time since the last call, s. An expired timer must be
+    restarted with at least ``least`` seconds; call ``forget`` after setting one to less.
     """
     if not timers.is_cuda:
         return True

@@ -51,7 +51,7 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
 class Overflow:
     """Detects that contacts or constraint rows exceeded the engine's capacity, without waiting for a GPU.
 
-    ``flags`` are mujoco-warp's overflow flags of each simulation, (N,) int: a live view that is never cleared.
+    ``flags`` (N,) int are mujoco-warp's overflow flags: a live view that is never cleared.
     """
 
     def __init__(self, kinds: Any, flags: torch.Tensor, room: Capacity) -> None:
@@ -104,9 +104,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    The engine's physics steps agree with MuJoCo's physics steps to single precision. On a GPU, two runs from one state
-    diverge, because the order of contacts and sums differs from run to run. On the CPU, a run with mujoco-warp is
-    bit-reproducible. Raise ConfigError if a package or device is missing, or if mujoco-warp does not support the model.
+    Physics steps agree with MuJoCo's to single precision. Runs are bit-reproducible on the CPU, but not on a GPU, where
+    the order of contacts and sums varies. Raise ConfigError if a package or device is missing, or if mujoco-warp does
+    not support the model.
     """
 
     name = "warp"

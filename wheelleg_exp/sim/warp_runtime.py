@@ -80,9 +80,8 @@ def put_model(mjw: ModuleType, model: mujoco.MjModel) -> Any:
 class Graphs:
     """Runs Warp functions in the order of torch's stream; on a GPU, each function is captured as a CUDA graph.
 
-    The first call of a Warp function runs the function directly, which compiles its kernels. The second call of a Warp
-    function captures it, and later calls launch its captured CUDA graph. A Warp function that is called while torch
-    captures a CUDA graph becomes part of torch's graph.
+    The first call of a function runs it directly, which compiles its kernels; the second captures it, and later calls
+    launch the graph. While torch captures a CUDA graph, a function becomes part of torch's graph.
     """
 
     def __init__(self, wp: ModuleType, device: torch.device, wanted: bool) -> None:

@@ -1,7 +1,6 @@
 """Actuator models, which compute MuJoCo controls from joint targets before each physics step.
 
-The names and parameters of the actuator models follow Isaac Lab. Every actuator model except ``ImplicitActuator``
-computes its torque from the robot's state before each physics step.
+Names and parameters follow Isaac Lab. Only ``ImplicitActuator`` leaves its torque to MuJoCo's solver.
 """
 
 from wheelleg_exp.sim.actuators.actuator_base import (

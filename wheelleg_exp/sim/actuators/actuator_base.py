@@ -36,22 +36,20 @@ Stream = Callable[[], torch.Generator]
 class ActuatorBase(Stateful):
     """Base class of actuator models; each actuator model drives one group of joints.
 
-    An actuator model with memory declares it (see ``Stateful``). Each parameter of an actuator model is one number for
-    all joints, or a mapping from regular expressions of joint names to numbers. ``start`` converts ``stiffness``,
-    ``damping``, ``effort_limit`` and ``velocity_limit`` to tensors (N, joints of the group).
+    Each parameter is one number for all joints, or a mapping from expressions of joint names to numbers. ``start``
+    converts ``stiffness``, ``damping``, ``effort_limit`` and ``velocity_limit`` to tensors (N, joints of the group).
 
     Args:
         joint_names_expr: expressions of the joints in the group.
         stiffness: kp, N·m/rad.
         damping: kd, N·m·s/rad.
         effort_limit: largest torque, N·m.
-        velocity_limit: largest joint speed, rad/s. MuJoCo cannot limit a joint's speed: velocity targets are
-            clipped to it, and joints beyond it are reported.
+        velocity_limit: largest joint speed, rad/s. MuJoCo cannot enforce it: velocity targets are clipped to it, and
+            faster joints are reported.
         armature: reflected rotor inertia, kg·m^2; null keeps the asset's value.
         friction: Coulomb friction of the joint, N·m; null keeps the asset's value.
         viscous_friction: viscous friction of the joint, N·m·s/rad; null keeps the asset's value.
-        delay: shortest and longest delay of the targets in physics steps; each reset draws one delay for each
-            environment; null means no delay.
+        delay: shortest and longest delay of the targets in physics steps, drawn at each reset; null means no delay.
     """
 
     reads_state: ClassVar[bool] = True  # ``reads_state`` is False if controls depend only on joint targets.
@@ -75,10 +73,7 @@ class ActuatorBase(Stateful):
         self.delay: TargetDelay | None = self.child("delay", None)
 
     def read_files(self, folder: Path, key: str, device: torch.device) -> None:
-        """Read the actuator model's files from the robot's folder; this method is called before all other methods.
-
-        ``key`` is the config key of the actuator group.
-        """
+        """Read the model's files from the robot's folder, before all other calls; ``key`` is the group's config key."""
 
     def resolve(self, joint_names: Sequence[str], key: str, device: torch.device | None = None) -> None:
         """Find the actuator group's joints, and make parameter tensors; raise ConfigError if a parameter is missing."""
@@ -125,7 +120,7 @@ class ActuatorBase(Stateful):
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
         """Allocate the actuator model's memory for N environments and a physics step ``dt``, s, before the first step.
 
-        ``stream`` is a function that returns a random generator for the actuator group; call it only if you need one.
+        ``stream`` returns a random generator for the actuator group; call it only if you need one.
         """
 
     def begin(self, env_ids: torch.Tensor) -> None:

@@ -1,7 +1,6 @@
 """Learned drives: networks that were trained on measurements of a real drive.
 
-The TorchScript file of an actuator's neural network lies in the folder ``NETWORKS`` next to the robot's MJCF file. The
-command that starts a run copies the TorchScript file from the user's asset folders into the run directory.
+The TorchScript files are in the folder ``NETWORKS`` next to the robot's MJCF file, and are copied into each run.
 """
 
 from __future__ import annotations
@@ -51,9 +50,8 @@ _TRIED: set[tuple[str, bytes]] = set()  # files and settings of the networks tha
 class Network:
     """A neural network with constant weights, loaded from a TorchScript file.
 
-    A TorchScript file can contain code that reads and writes files, even while torch loads the file. The constructor
-    raises ConfigError for a TorchScript file with operations that neural networks do not need. ``key`` is the config
-    key of the TorchScript file.
+    A TorchScript file can contain code that reads and writes files, even while torch loads it. Raise ConfigError, with
+    the config key ``key``, for operations that neural networks do not need.
     """
 
     def __init__(self, file: Path, key: str, device: torch.device | None) -> None:
@@ -163,9 +161,8 @@ class ActuatorNet(DCMotor):
 class ActuatorNetMLP(ActuatorNet):
     """A perceptron that maps joint position errors and speeds of past physics steps to torques (Hwangbo et al., 2019).
 
-    The network's input is a tensor (rows, 2 len(input_idx)) with one row per joint. The network's output has one number
-    per row of the network's input. Joint position errors and joint speeds from before the start of an episode count as
-    0. An actuator with a neural network ignores velocity targets and feed-forward efforts.
+    The network maps (rows, 2 len(input_idx)), one row per joint, to one number per row. Errors and speeds from before
+    the start of an episode are 0. Velocity targets and feed-forward efforts have no effect.
 
     Args:
         pos_scale: factor on position errors.
@@ -223,10 +220,9 @@ class ActuatorNetMLP(ActuatorNet):
 class ActuatorNetLSTM(ActuatorNet):
     """An LSTM that computes torques from the present joint position errors and speeds (Rudin et al., 2022).
 
-    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. The inputs of the network are a tensor
-    (rows, 1, 2), with one row per joint, and the hidden state of its LSTM. The outputs of the network are one torque
-    per joint, N·m, and the new hidden state of its LSTM. The hidden state of an actuator's LSTM is 0 at the start of an
-    episode. An actuator with a neural network ignores velocity targets and feed-forward efforts.
+    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. It maps (rows, 1, 2), one row per joint,
+    and the hidden state to torques, N·m, and the new hidden state, which is 0 at the start of an episode. Velocity
+    targets and feed-forward efforts have no effect.
 
     The torque limit is that at the joint's present speed. Isaac Lab 2.3.2 always uses the limit of a motor at rest.
     """

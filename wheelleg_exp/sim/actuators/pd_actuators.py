@@ -166,11 +166,10 @@ def _angles_rise(joint_parameter_lookup: Sequence[LookupRow]) -> Iterator[Broken
 class RemotizedPDActuator(DelayedPDActuator):
     """A ``DelayedPDActuator`` whose largest torque depends on the joint's position, for example due to a linkage.
 
-    The largest torque is interpolated linearly between a lookup table's rows, and is constant outside of the table.
+    The largest torque is interpolated linearly between the rows, and constant outside of the table.
 
     Args:
-        joint_parameter_lookup: rows of joint position, rad; transmission ratio, which is ignored; and largest torque,
-            N·m.
+        joint_parameter_lookup: rows [joint position, rad; transmission ratio, ignored; largest torque, N·m].
     """
 
     def __init__(

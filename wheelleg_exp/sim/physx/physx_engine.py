@@ -1,9 +1,8 @@
 """The engine ``physx``: NVIDIA PhysX moves the robots on the CPU, and MuJoCo computes what depends on their states.
 
-PhysX simulates the robot's own USD file, not its MJCF, so that differences also show errors of the conversion. The
-batch of MuJoCo simulations mirrors PhysX's states. It computes link poses, velocities, rays, and pictures, and holds
-the model fields that events change. Each physics step sends changed states and fields to PhysX, and reads the new
-states back.
+PhysX simulates the robot's own USD file, not its MJCF, so that differences also show errors of the conversion. A batch
+of MuJoCo simulations mirrors PhysX's states, computes link poses, velocities, rays, and pictures, and stores the model
+fields that events change. Each physics step sends changes to PhysX, and reads the new states back.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ _SENT |= {"geom_friction", "jnt_range", "jnt_limited", "opt.gravity"}
 class PhysxEngine(BatchEngine):
     """N simulations on PhysX, in float32.
 
-    A simulation repeats to the bit, but not after its state was restored: PhysX gives no access to the contact data
-    that its next step depends on. Raise ConfigError if PhysX cannot simulate the robot, the ground, or the sensors.
+    Results are bit-reproducible, but not after a state was restored: PhysX gives no access to the contact data that its
+    next step depends on. Raise ConfigError if PhysX cannot simulate the robot, ground, or sensors.
     """
 
     name = "physx"
@@ -223,7 +222,6 @@ class PhysxEngine(BatchEngine):
         return buffer.double()
 
     def _field(self, name: str) -> torch.Tensor:
-        """Return a model field's current values, (N, ...)."""
         if name in self.expanded:
             return self.expanded[name].double()
         values = self.constant(name).double()

@@ -111,8 +111,7 @@ def write_scene(
 ) -> None:
     """Write the USD layer of N robots, named ``env_0`` and so on, and of the ground of a MuJoCo model.
 
-    The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the setting of the
-    USD file; None leaves it unchanged.
+    The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the USD file's.
     """
     overs = _overs(links.values(), root, self_collisions, *_instances_and_shapes(usd))
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
@@ -131,7 +130,7 @@ def write_scene(
 def _instances_and_shapes(usd: Path) -> tuple[set[str], set[str]]:
     """Return the paths of a USD file's instances, and of shapes that are colliders because the prim above them is one.
 
-    A collider above shapes can have the approximation of a mesh; then it is one collider in PhysX as well.
+    A collider above shapes that has the approximation of a mesh is one collider in PhysX as well.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
@@ -187,7 +186,6 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _ground_prim(model: mujoco.MjModel, geom: int) -> str:
-    """Return the prim of a ground's geom, in world axes."""
     kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
     apis = '(prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"])'
     pose = f"""quatd xformOp:orient = ({_numbers(model.geom_quat[geom])})

@@ -45,11 +45,10 @@ class CameraData(Stateful):
     Attributes:
         pos_w: position of the camera, m, (N, 3).
         quat_w_world: orientation of the camera, axes x forward, y left, z up, (w, x, y, z), (N, 4).
-        image_shape: rows and columns of an image.
         intrinsic_matrices: px, (N, 3, 3): a point (x right, y down, z forward) appears at (fx x/z + cx, fy y/z + cy);
             the first pixel extends from 0 to 1.
         output: images by data type, (N, height, width, channels).
-        info: labels of the ids in a segmentation, ``info[data_type]["idToLabels"]``.
+        info: labels of a segmentation's ids, ``info[data_type]["idToLabels"]``.
     """
 
     def __init__(self, num_envs: int, pinhole: PinholePattern, device: torch.device) -> None:
@@ -123,9 +122,9 @@ def _range_of_angles(fovy: float | None, clipping_range: Sequence[float]) -> Ite
 class Camera(LazySensor):
     """A camera on a robot's body, for few environments, because MuJoCo renders each environment separately.
 
-    The first read of an image needs a graphics driver that renders without a display (EGL or OSMesa). The image of an
-    environment shows only the robot of that environment and the ground. The colours of images come from the compiled
-    model and its lights. With one graphics driver, equal simulation states give equal images.
+    The first image needs a graphics driver that renders without a display (EGL or OSMesa). Images show only the
+    environment's own robot and the ground, in the colours and lights of the compiled model. With one driver, equal
+    states give equal images.
 
     Args:
         body_name: expression of the body.
@@ -135,9 +134,9 @@ class Camera(LazySensor):
             the distance along the camera's axis, m, and ``distance_to_camera`` the distance along the pixel's ray, m.
             ``semantic_segmentation`` contains int32 ids of ground and robot, ``instance_segmentation_fast`` ids of
             bodies, and ``instance_id_segmentation_fast`` ids of geoms.
-        offset: the camera's position ``pos``, m, and orientation ``rot``, (w, x, y, z), in the body's frame, and
-            ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
-            up, in ``ros``; and along -z, with y up, in ``opengl``.
+        offset: pose in the body's frame: ``pos``, m, and ``rot``, (w, x, y, z), of axes with a ``convention``. A camera
+            looks along x, with z up, in the convention ``world``; along z, with -y up, in ``ros``; and along -z, with y
+            up, in ``opengl``.
         focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
         vertical_aperture: height of the image plane; null makes pixels square.
@@ -148,7 +147,6 @@ class Camera(LazySensor):
         depth_clipping_behavior: a pixel that sees nothing gets the distance inf with the value ``none``, 0 with
             ``zero``, and the largest measurable distance with ``max``.
         max_num_envs: maximum number of environments, because each image takes milliseconds.
-        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     def __init__(
@@ -267,20 +265,15 @@ RayDepth = Literal["distance_to_image_plane", "distance_to_camera", "depth"]
 class RayCasterCamera(RayCaster):
     """A depth camera on a body of the robot, for any number of environments; the camera's rays hit only the ground.
 
-    The depth camera needs no graphics driver. A pixel's distance is the length of the ray through the pixel's centre.
+    No graphics driver is needed. A pixel's distance is that along the ray through its centre.
 
     Args:
-        body_name: expression of the body.
         pattern: the pixels, a ``PinholePattern``.
         data_types: types of the images, ``distance_to_image_plane`` or ``depth`` (m, along the camera's axis) and
             ``distance_to_camera`` (m, along the pixel's ray).
-        offset: the camera's position ``pos``, m, and orientation ``rot``, (w, x, y, z), in the body's frame, and
-            ``convention`` of its axes. A camera looks along x, with z up, in the convention ``world``; along z, with -y
-            up, in ``ros``; and along -z, with y up, in ``opengl``.
-        max_distance: longest ray, m.
+        offset: pose in the body's frame, as in ``Camera``: ``pos``, m, ``rot``, (w, x, y, z), and ``convention``.
         depth_clipping_behavior: a pixel that sees nothing gets the distance inf with the value ``none``, 0 with
             ``zero``, and the largest measurable distance with ``max``.
-        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     _data: CameraData

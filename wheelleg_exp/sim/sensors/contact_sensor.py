@@ -55,14 +55,14 @@ def _time(name: str, doc: str) -> TensorProperty:
 class ContactSensorData(Stateful):
     """Measurements of a contact sensor for N environments and B bodies; the suffix ``_w`` means world axes.
 
-    Reading a quantity that the contact sensor does not track raises ConfigError. ``history_length`` is T physics steps.
+    Reading a quantity that is not tracked raises ConfigError.
 
     Attributes:
         forces: net normal force of each step in the history, N, (N, B, 3), newest first.
         filtered: ``force_matrix_w_history``; None without filtered bodies.
         points: ``contact_pos_w``; None if not tracked.
         friction: ``friction_forces_w``; None if not tracked.
-        times: the four times by name, s, (N, B); zeros if not tracked.
+        times: contact and air times by name, s, (N, B); zeros if not tracked.
     """
 
     def __init__(
@@ -303,7 +303,6 @@ class ContactSensor(SensorBase):
             current.copy_(counted)
 
     def _measure_pairs(self, due: torch.Tensor | None) -> None:
-        """Measure the contacts of B sensed bodies with M other bodies."""
         parts, data, form = self._pairs, self.data, (-1, len(self.body_names), len(self.filter_names), 3)
         force = summed(parts["force"][..., 0].unsqueeze(2), parts["normal"]).neg_().float().view(form)
         found = {"filtered": torch.cat((force.unsqueeze(1), data.force_matrix_w_history[:, :-1]), dim=1)}

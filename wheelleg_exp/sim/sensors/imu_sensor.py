@@ -28,7 +28,7 @@ class ImuNoise:
     Args:
         std: standard deviation of the white noise of each measurement.
         bias_range: range of the bias, drawn at each reset.
-        bias_walk: random walk of the bias: its standard deviation after 1 s.
+        bias_walk: standard deviation of the bias's random walk after 1 s.
     """
 
     std: NonNegative = 0.0
@@ -67,15 +67,13 @@ class ImuData(Stateful):
 class Imu(SensorBase):
     """A sensor of the pose, velocities and accelerations of a frame on a body, like Isaac Lab's ``Imu``.
 
-    Accelerations are finite differences of the IMU's velocities over the last physics step. Velocities that events
-    write have no effect on the measured accelerations. After a reset, accelerations are 0 until the next physics step.
-    Measurements with the suffix ``_b`` show a sloping floor, and on the root link also the tilt and the bias of
-    ``randomize_imu_errors``.
+    Accelerations are finite differences over the last physics step: velocities that events write do not count, and
+    after a reset, they are 0 until the next physics step. Measurements with the suffix ``_b`` show a sloping floor, and
+    on the root link also the errors of ``randomize_imu_errors``.
 
     Args:
         body_name: expression of the body.
-        offset: the IMU's pose in the body's frame, with the position ``pos``, m, and the orientation ``rot``, (w, x, y,
-            z).
+        offset: pose in the body's frame: ``pos``, m, and ``rot``, (w, x, y, z).
         gravity_bias: added to the acceleration, world axes, m/s^2; by default minus gravity, as an IMU at rest reads.
         accelerometer: errors of ``lin_acc_b``; null means none.
         gyroscope: errors of ``ang_vel_b``; null means none.

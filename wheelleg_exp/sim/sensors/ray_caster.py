@@ -52,9 +52,8 @@ class RayCaster(LazySensor):
             origins by the body's yaw, ``world`` rotates nothing.
         max_distance: longest ray, m.
         drift_range: range of a position error along each world axis, drawn at each reset, m.
-        ray_cast_drift_range: ranges of errors drawn at each reset, m: ``x`` and ``y`` shift the rays' origins before
+        ray_cast_drift_range: errors drawn at each reset, m: ``x`` and ``y`` shift the rays' origins before
             ``ray_alignment`` applies, and ``z`` raises the hit points.
-        update_period: time between two measurements, s; 0 measures the present state at every read.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class RayCaster(LazySensor):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the rays' origins (n, R, 3), m, directions (n, R, 3), and lengths (n, R), m, negative without a hit.
 
-        ``pos`` is the position of the sensor's body, m, (n, 3); ``drift`` has the sensor's position errors, m, (n, 6).
+        ``pos`` (n, 3) is the body's position, m; ``drift`` (n, 6) are the position errors, m.
         """
         turn = self._turn(ids)
         moved = rotation.rotate(turn, drift[:, 3:])

@@ -134,11 +134,9 @@ class BpearlPattern(PatternBase):
 class PinholePattern(PatternBase):
     """Rays through the centres of a camera's pixels, row by row from the upper left; the camera looks along x.
 
-    ``intrinsics`` has the rows of a camera's intrinsic matrix, in pixels.
+    ``intrinsics`` contains the rows of the intrinsic matrix, in pixels.
 
     Args:
-        width: px.
-        height: px.
         focal_length: in the unit of the apertures; only their ratio matters.
         horizontal_aperture: width of the image plane.
         vertical_aperture: height of the image plane; null makes pixels square.

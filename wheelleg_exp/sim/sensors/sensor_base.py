@@ -27,10 +27,9 @@ ROUNDING = 1e-4  # Largest relative error of a time that is a float32 sum of up 
 class SensorBase(Stateful):
     """A sensor of the scene: one YAML node under ``env.scene.sensors``, from this package or user-defined.
 
-    A subclass adds elements to the MuJoCo spec, and defines the method ``measure``, which updates the sensor's data.
-    The tensors of a sensor have the shape (N, ...) and are on the engine's device. ``connect`` must declare everything
-    that the sensor's later measurements depend on (see ``Stateful``). The scene sets a sensor's ``name`` and
-    ``terrain`` before it calls the sensor's ``add_to``. ``data`` has the attribute names of Isaac Lab's sensor data.
+    A subclass adds elements to the MuJoCo spec in ``add_to``, and updates ``data``, whose attributes have Isaac Lab's
+    names and whose tensors (N, ...) are on the engine's device, in ``measure``. ``connect`` must declare everything
+    that later measurements depend on (see ``Stateful``). The scene sets ``name`` and ``terrain`` before ``add_to``.
 
     Args:
         update_period: time between two measurements, s; 0 measures after every physics step.
@@ -67,7 +66,7 @@ class SensorBase(Stateful):
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
         """Connect the sensor to the running simulations; the scene calls this method once, after compiling the model.
 
-        ``stream`` is a function that returns a random generator for the sensor; call it only if the sensor needs one.
+        ``stream`` returns a random generator for the sensor; call it only if the sensor needs one.
         """
         del stream
         self._sim = sim
@@ -80,7 +79,7 @@ class SensorBase(Stateful):
     def update(self) -> None:
         """After a physics step, update the measurements of the environments whose update period has passed.
 
-        As in Isaac Lab, each environment has its own timer, and the sensor measures in an episode's first step.
+        As in Isaac Lab, each environment has its own timer, and the first step of an episode is measured.
         """
         if self.update_period == 0.0:
             self.measure(None, self._dt)
@@ -91,10 +90,7 @@ class SensorBase(Stateful):
         self._elapsed.masked_fill_(due, 0.0)
 
     def measure(self, due: torch.Tensor | None, elapsed: float | torch.Tensor) -> None:
-        """Update the measurements of the environments in the mask ``due`` (N,); None means all environments.
-
-        ``elapsed`` is the time since the last measurement in each environment, s, (N,), or one number for all.
-        """
+        """Update the measurements of ``due`` (N,), a mask or None for all, ``elapsed`` seconds after the last ones."""
         raise NotImplementedError("a sensor must define the method 'measure(due, elapsed)'")
 
     def reset(self, env_ids: torch.Tensor) -> None:
@@ -144,8 +140,7 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
-    If ``update_period`` is not 0, a lazy sensor measures at resets and once per period, even if no code reads ``data``.
-    A lazy sensor's measurements do not depend on how often code reads ``data``.
+    With ``update_period``, it measures at resets and once per period, so that reads have no effect on measurements.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.

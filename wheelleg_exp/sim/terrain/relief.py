@@ -18,8 +18,7 @@ from wheelleg_exp.sim.terrain.terrain_base import add_geom
 class Tile:
     """The heights of one terrain tile, m; the array's first index is along x, the second index along y.
 
-    If ``boxes`` is false, ``heights`` (nx + 1, ny + 1) are the heights at the corners of the tile's grid squares. If
-    ``boxes`` is true, each grid square is the level top of a box, and ``heights`` (nx, ny) has one height per square.
+    ``heights`` are at the corners of the grid squares, (nx + 1, ny + 1), or with ``boxes``, of their tops, (nx, ny).
     """
 
     heights: npt.NDArray[np.float32]
@@ -35,8 +34,7 @@ class Tile:
 class HeightMap:
     """The layout of terrain tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
-    As in MuJoCo's height fields, the surface in a cell between four corners consists of two triangles. The common
-    edge of a cell's two triangles joins the corner with the lowest x and y and the corner with the highest x and y.
+    As in MuJoCo's height fields, each cell is two triangles, split from its lowest to its highest x and y.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:
@@ -84,7 +82,7 @@ def add_tile(
 ) -> None:
     """Add a terrain tile as a height field or boxes, down to a tenth of the tile's edge below the tile's lowest height.
 
-    If the tile has several boxes, their names are ``name/0``, ``name/1``, and so on; ``centre`` and ``size`` are in m.
+    Several boxes are named ``name/0``, ``name/1``, and so on; ``centre`` and ``size`` are in m.
     """
     heights = tile.heights.astype(float)
     corner = np.array(centre) - np.array(size) / 2

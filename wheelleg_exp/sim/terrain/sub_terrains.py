@@ -21,8 +21,7 @@ _ROUNDS = 1000
 class FlatPatches:
     """Flat patches of a tile: random positions are drawn until enough of them have level ground around them.
 
-    The z coordinate of a flat patch is the ground's height at the patch's centre. The ranges of a flat patch's x, y,
-    and z are relative to the tile's origin, and are clipped to the tile.
+    A patch's z is the ground's height at its centre. Ranges are relative to the tile's origin and clipped to the tile.
 
     Args:
         num_patches: number of patches per tile, P.
@@ -50,8 +49,8 @@ class FlatPatches:
     ) -> Array:
         """Return flat patches (P, 3), m, relative to the tile's origin; raise ConfigError if too few patches exist.
 
-        ``height_at`` returns the heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) is the
-        tile's origin, m, ``size`` has the tile's edge lengths, m, and ``key`` is the config key of the flat patches.
+        ``height_at`` returns the heights (...) at points (..., 2) relative to the tile's centre. ``origin`` (3,) and
+        ``size``, the edge lengths, are in m; ``key`` is the config key of the patches.
         """
         half, ranges = np.array(size) / 2, np.array([self.x_range, self.y_range])
         low = np.maximum(ranges[:, 0] + origin[:2], -half)
@@ -80,7 +79,7 @@ EDGE = 1e-9  # Because of rounding errors, a point 1e-9 m outside of a terrain t
 class Grid:
     """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` contains half the edge lengths, m, of the tile without its flat rim.
+    ``half`` are half the edge lengths, m, without the tile's flat rim.
     """
 
     x: Array
@@ -101,8 +100,7 @@ class Grid:
 class SubTerrain:
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. The terrain generator converts a tile's heights to boxes with vertical edges or to a
-    height field with slopes. Each box slows down all environments a little; a height field slows down only robots on
+    A subclass returns heights. Each box slows down all environments a little; a height field slows down only robots on
     the field.
 
     Args:
@@ -110,7 +108,8 @@ class SubTerrain:
         border_width: width of the flat rim at height 0 inside the tile, m.
         horizontal_scale: edge of a cell, m; null means the generator's.
         flat_patches: the flat patches to find on each tile, by name.
-        boxes: whether heights belong to cells and become boxes, or belong to corners and become a height field.
+        boxes: whether heights belong to cells and become boxes with vertical edges, or belong to corners and become a
+            height field with slopes.
     """
 
     proportion: NonNegative
@@ -122,7 +121,7 @@ class SubTerrain:
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return a tile's heights (nx, ny), m, at the points of ``grid``; equal arguments must give equal heights.
 
-        The difficulty is 0 for the easiest and 1 for the hardest tile; ``rng`` is the ground's random generator.
+        ``difficulty`` is from 0 to 1, that of the hardest tile.
         """
         raise NotImplementedError
 
@@ -182,7 +181,7 @@ class UniformNoise(SubTerrain):
 class PyramidSlope(SubTerrain):
     """Terrain tile of a pyramid with a level top and four faces of equal slope.
 
-    In Isaac Lab, the slope of a pyramid's faces decreases from the centre line of each face to the corners.
+    In Isaac Lab, the slope of a face decreases from its centre line to the corners.
 
     Args:
         slope_range: angle of the easiest and the hardest tile, rad.
@@ -222,7 +221,7 @@ class Waves(SubTerrain):
 def _between(grid: Grid, spacing: float | None, draw: Callable[[tuple[int, int]], Array]) -> Array:
     """Draw random heights on a lattice, and interpolate the heights linearly, first along x, then along y.
 
-    The first lattice point is a grid point, because interpolated heights vary less than the random heights themselves.
+    The first lattice point is a grid point, because interpolated heights vary less than drawn ones.
     """
     i, u, nx = _place(grid.x.ravel(), grid.half[0], spacing)
     j, v, ny = _place(grid.y.ravel(), grid.half[1], spacing)
@@ -264,8 +263,8 @@ class Flat(SubTerrain):
 class PyramidStairs(SubTerrain):
     """Terrain tile of stairs that rise from all four sides of the tile to a level top.
 
-    The outermost ring has the height 0. In Isaac Lab, the outermost ring is one step higher (``inverted``: lower), and
-    the same settings give one or two more steps.
+    The outermost ring has the height 0. In Isaac Lab, it is a step higher (``inverted``: lower), and the same settings
+    give one or two more steps.
 
     Args:
         step_height_range: step height of the easiest and the hardest tile, m.

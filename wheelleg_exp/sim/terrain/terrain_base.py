@@ -56,20 +56,19 @@ GROUND_GROUP = 0  # Geom group 0 is reserved for the ground.
 class TerrainBase(Stateful):
     """The ground (``env.scene.terrain``): one YAML node, from this package or user-defined.
 
-    MuJoCo has no restitution, and one friction coefficient instead of a static and a dynamic one. The config key
-    ``env.robot.friction_source`` selects the static or the dynamic friction coefficient.
+    MuJoCo has no restitution, and one friction coefficient, which ``env.robot.friction_source`` selects from the two.
 
     Args:
-        static_friction: the ground's coefficient at rest.
-        dynamic_friction: the ground's coefficient in motion.
-        restitution: the ground's coefficient of restitution.
+        static_friction: coefficient at rest.
+        dynamic_friction: coefficient in motion.
+        restitution: coefficient of restitution.
 
     Attributes:
         env_origins: origins of the environments, m, (N, 3).
         terrain_origins: origins of the tiles, m, (rows, cols, 3); None on a ground without tiles.
-        terrain_levels: row of each environment's tile, (N,) long; higher rows are harder; 0 without tiles. As in Isaac
-            Lab, a plane does not have this attribute: terms test whether it exists.
-        terrain_types: column of each environment's tile, (N,) long; 0 without tiles. A plane does not have it.
+        terrain_levels: row of each environment's tile, (N,); higher rows are harder; 0 without tiles. As in Isaac Lab,
+            a plane does not have this attribute: terms test whether it exists.
+        terrain_types: column of each environment's tile, (N,); 0 without tiles. A plane does not have it.
         max_terrain_level: number of rows.
         size: edges of a tile along x and y, m; infinite without tiles.
         border_width: width of the ground around the tiles, m.
@@ -120,8 +119,7 @@ class TerrainBase(Stateful):
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
         """Compute the origins of all environments; the scene calls this method once, before the method ``add_to``.
 
-        ``spacing`` is the distance between neighbouring environments on a grid, m. ``stream`` is a function that
-        returns a random generator for the ground; call it only if the ground needs one.
+        ``spacing`` is the grid distance, m. ``stream`` returns a random generator; call it only if you need one.
         """
         self.probe, self._stream = Probe(self.add_to), stream
         self.terrain_levels = torch.zeros(num_envs, dtype=torch.long, device=device)
@@ -163,9 +161,8 @@ class TerrainBase(Stateful):
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
-        As in Isaac Lab, an environment that moves up from the hardest row of tiles moves to a random row. In the
-        easiest row of tiles, an environment does not move down. ``update_env_origins`` does nothing on a ground without
-        tiles.
+        As in Isaac Lab, an environment moves up from the hardest row to a random row, and does not move down from the
+        easiest row. Without tiles, nothing happens.
         """
         if self.terrain_origins is None:
             return
@@ -179,8 +176,7 @@ class TerrainBase(Stateful):
     def height_at(self, xy: torch.Tensor) -> torch.Tensor:
         """Return the ground's height (...) at world points (..., 2), m; 0 for points without ground.
 
-        A subclass may override ``height_at`` with a formula. By default, ``height_at`` measures the ground's height by
-        vertical rays from above.
+        Vertical rays from above measure the height; a subclass may override this with a formula.
         """
         return self.probe.height_at(xy)
 
@@ -208,8 +204,7 @@ def add_geom(spec: mujoco.MjSpec, name: str, friction: float, **what: object) ->
 def grid_origins(num_envs: int, spacing: float, device: torch.device | None = None) -> torch.Tensor:
     """Return the origins (N, 3) of environments on a square grid around the world's origin, row by row.
 
-    As in Isaac Lab, N environments form ``ceil(N / floor(sqrt(N)))`` rows. The next row of environments is at a
-    smaller x, and the next column of environments is at a larger y.
+    As in Isaac Lab: ``ceil(N / floor(sqrt(N)))`` rows, the next row at a smaller x, the next column at a larger y.
     """
     rows = math.ceil(num_envs / math.floor(math.sqrt(num_envs)))
     cols = math.ceil(num_envs / rows)

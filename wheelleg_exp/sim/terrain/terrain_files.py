@@ -156,8 +156,7 @@ class HeightField(_FromFile):
 class Mesh(_FromFile):
     """Terrain from a mesh in world coordinates; rays from above convert the mesh to a height field.
 
-    In a hole of the mesh, the ground has the height of the mesh's lowest point. Surfaces of the mesh below an overhang
-    are not part of the ground.
+    A hole gets the height of the mesh's lowest point. Surfaces below an overhang are not part of the ground.
 
     Args:
         file: a ``.obj`` or ``.stl`` file in the world's axes, relative to an asset folder.

@@ -34,9 +34,8 @@ def _some_share(sub_terrains: Mapping[str, constraints.Node | SubTerrain | None]
 class TerrainGenerator(TerrainBase):
     """Terrain of tiles in rows along x and columns along y, centred on the world's origin.
 
-    With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the sub-terrains' proportions. With
-    ``curriculum``, the difficulty of row i is ``low + (high - low) (i + U(0, 1)) / rows``. Without ``curriculum``, the
-    sub-terrain and the difficulty of each tile are random.
+    With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the proportions, and the difficulty of
+    row i is ``low + (high - low) (i + U(0, 1)) / rows``. Otherwise, both are random for each tile.
 
     Args:
         size: edges of a tile along x and y, m.
