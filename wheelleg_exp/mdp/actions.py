@@ -1,7 +1,6 @@
 """Action terms: the targets that a policy's output sets.
 
-An action term multiplies the policy's raw action by a scale, adds an offset, and clips the sum to get a joint target.
-The field ``delay`` of an action term delays the term's targets by a number of physics steps.
+A term multiplies its raw action by a scale, adds an offset, and clips the sum; ``delay`` counts physics steps.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ class JointTerm(ActionTerm):
     Args:
         joint_names: expressions of the driven joints.
         clip: bounds of the processed action by joint expression, [low, high].
-        preserve_order: order of the expressions (True) or of the robot (False).
+        preserve_order: order of the expressions (true) or of the robot (false).
         asset_name: the member of the scene that has the joints.
         width: number of components of the action; None means one per joint.
     """
@@ -199,10 +198,9 @@ class JointEffortAction(JointAction):
 class JointPositionToLimitsAction(JointTerm):
     """Position targets: the clipped ``raw * scale`` is mapped from [-1, 1] to the joints' soft limits.
 
-    Unlike in Isaac Lab, ``preserve_order`` has an effect even if the action term drives all joints.
+    Unlike in Isaac Lab, ``preserve_order`` has an effect even if the term drives all joints.
 
     Args:
-        scale: factor on the raw action; a number, or one by joint expression.
         clip: bounds of the scaled action by joint expression, before the mapping to limits.
         rescale_to_limits: clamp to [-1, 1] and map to the soft limits; else the scaled action is the target, rad.
     """
@@ -246,8 +244,7 @@ class JointPositionToLimitsAction(JointTerm):
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
     """A ``JointPositionToLimitsAction`` with smoothed joint targets, ``target = alpha * new + (1 - alpha) * last``.
 
-    The smoothed joint targets are clamped to the joints' soft limits. In the first step of an episode, the present
-    joint positions are used as ``last``.
+    It is clamped to the soft limits. In the first step of an episode, ``last`` is the present position.
 
     Args:
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.
@@ -285,7 +282,6 @@ class BinaryJointAction(JointTerm):
     Args:
         open_command_expr: target of each joint when open, by joint expression.
         close_command_expr: target of each joint when closed, by joint expression.
-        clip: bounds of the targets by joint expression.
     """
 
     def __init__(
@@ -333,11 +329,8 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
     """Select one of two joint position targets, rad, by a threshold on the raw action.
 
     Args:
-        open_command_expr: target of each joint when open, rad, by joint expression.
-        close_command_expr: target of each joint when closed, rad, by joint expression.
         threshold: raw action at which the selection changes.
         positive_threshold: whether the joints open above the threshold (True) or below it (False).
-        clip: bounds of the targets by joint expression, rad.
     """
 
     def __init__(

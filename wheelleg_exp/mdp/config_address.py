@@ -44,10 +44,7 @@ def terms_of(root: object, parts: tuple[Part, ...]) -> list[Term]:
 
 
 def write(root: object, parts: tuple[Part, ...], value: object) -> None:
-    """Set the value of the setting at an address relative to the object ``root``.
-
-    A new value of a term's constructor argument also takes effect in the term's existing object.
-    """
+    """Set the setting at an address relative to ``root``, and a constructor argument also in the term's object."""
     _set(root, parts, value)
     for term in terms_of(root, parts):
         term.take_arguments()

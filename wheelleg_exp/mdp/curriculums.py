@@ -31,14 +31,13 @@ def modify_reward_weight(env: Env, env_ids: torch.Tensor, term_name: str, weight
 class action_delay_levels(TermBase):
     """Raise a robot's level after an episode that it survives, lower it after a fall; return the mean level.
 
-    At level 0, a robot's actions have their shortest delays; from level 0.5 on, the full ranges of their delays. A
-    robot that cannot stand yet learns slowly if its actions are late. ``push_by_adding_velocity`` can also depend on
-    the level. Not in Isaac Lab.
+    Delays are shortest at level 0, and in their full ranges from level 0.5 on: a robot that cannot stand yet learns
+    slowly if its actions are late. ``push_by_adding_velocity`` can also depend on the level. Not in Isaac Lab.
 
     Args:
-        num_episodes: successive episodes that a robot must survive to get from level 0 to level 1. A fall at the start
-            of an episode lowers the level as much as a survived episode raises it, and a later fall lowers it less.
-        max_tilt: a robot with a larger tilt at the end of its episode counts as fallen, rad; None for no limit. Tasks
+        num_episodes: survived episodes from level 0 to level 1. A fall at the start of an episode lowers the level as
+            much as a survived episode raises it, and a later fall lowers it less.
+        max_tilt: a robot with a larger tilt at the end of its episode counts as fallen, rad; null for no limit. Tasks
             in which no fall ends an episode need it.
 
     Attributes:
@@ -70,14 +69,13 @@ class modify_env_param(TermBase):
     """Change the environment's setting at ``address`` with the function ``modify_fn``, and log numeric settings.
 
     The address is dotted, with ``[i]`` for list elements: ``event_manager.cfg.push_robot.params.velocity_range.x[1]``.
-    A checkpoint saves and restores the value of a setting that this curriculum term has changed.
+    Checkpoints contain the changed value.
 
     Args:
         address: address of the value.
-        modify_fn: dotted name of the function, or a node that builds the function, such as one of
-            ``wheelleg_exp.mdp.schedules``. The function is called as ``modify_fn(env, env_ids, old_value,
-            **modify_params)``. ``modify_fn`` returns the new value, or ``modify_env_param.NO_CHANGE`` to keep the old
-            value.
+        modify_fn: dotted name of the function, or a node that builds it, such as one of ``wheelleg_exp.mdp.schedules``.
+            It is called as ``modify_fn(env, env_ids, old_value, **modify_params)``, and returns the new value, or
+            ``modify_env_param.NO_CHANGE``.
         modify_params: further arguments of the function, by name.
     """
 
@@ -138,8 +136,7 @@ class modify_term_cfg(modify_env_param):
     """Call a function that changes a setting of a manager term; see ``modify_env_param``.
 
     The address starts with the section: ``rewards.alive.weight``, ``commands.base_velocity.ranges.lin_vel_x``,
-    ``observations.policy.base_ang_vel.noise.n_max``. As in Isaac Lab, ``rewards.alive.params.NAME`` is also a valid
-    address of a parameter.
+    ``observations.policy.base_ang_vel.noise.n_max``; as in Isaac Lab, also ``rewards.alive.params.NAME``.
     """
 
     def parts_of(self, address: str) -> tuple[Part, ...]:
@@ -159,9 +156,8 @@ def terrain_levels_vel(
 ) -> torch.Tensor:
     """Move robots to harder or easier terrain tiles by the distance covered in the episode; return the mean level.
 
-    A robot moves to a harder tile if its distance from the tile's centre exceeds half the tile's length along x. A
-    robot moves to an easier tile if it covered less than half of the distance that its last command demands in a
-    full-length episode. On ground without terrain tiles, ``terrain_levels_vel`` has no effect.
+    A robot moves up if its distance from the tile's centre exceeds half the tile's length along x, and down if it
+    covered less than half of what its last command demands in a full episode. Without tiles, there is no effect.
     """
     terrain = env.scene.terrain
     if terrain.terrain_origins is None:
@@ -200,15 +196,14 @@ def _range_errors(command_name: str, ranges: Mapping[str, Sequence[float]], limi
 class command_range_levels(TermBase):
     """Widen the ranges of a command whenever the robots track the command well; return the upper bounds of the ranges.
 
-    Once per full episode length, a tracking ratio is computed: the mean tracking reward of the ended episodes, divided
-    by the reward of a full-length episode with perfect tracking. If the tracking ratio exceeds ``threshold``, each
-    command range in ``limit_ranges`` grows by ``step`` on both sides, up to its limit. Isaac Lab lacks
-    ``command_range_levels``, but some projects have it as ``lin_vel_cmd_levels`` or ``ang_vel_cmd_levels``.
+    Once per full episode length, the tracking ratio is the mean tracking reward of the ended episodes, divided by that
+    of a full-length episode with perfect tracking. If it exceeds ``threshold``, each range in ``limit_ranges`` grows by
+    ``step`` on both sides, up to its limit. Not in Isaac Lab; some projects call it ``lin_vel_cmd_levels`` or
+    ``ang_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
-        command_name: the command.
         step: growth on each side, in the axis' unit.
         threshold: tracking ratio above which the command ranges grow.
     """
@@ -257,16 +252,14 @@ _AXES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")  # ``_AXES`` lists the component
 class command_levels_by_skill(TermBase):
     """Widen a velocity command's range on axes with good tracking; return each range's upper bound and tracking score.
 
-    The tracking of each command axis is evaluated separately, over at least ``min_episodes`` finished episodes. Control
-    steps in which the command on an axis is at most ``command_threshold`` do not count for the tracking skill of this
-    axis. The skill of an axis is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the velocity
-    error e, and still is the score of a robot that never moves, the mean of exp(-c²/std²) for the command c. For any
-    command range and ``std``, the tracking skill S is 0 for a robot that stands still, and 1 for perfect tracking. A
-    failed episode counts as a full-length episode, with a tracking score of 0 in all steps after the failure. The
-    command range of an axis grows by ``step`` on both sides after the tracking skill was at least ``threshold`` in
-    ``passes`` successive evaluations. Only episodes that started after the last growth of a command range count for the
-    tracking skill S. If a command range is below its limit and does not grow in ``patience`` evaluations, training
-    warns and logs ``<axis>_stuck`` = 1.
+    The skill of an axis is S = (score - still) / (1 - still): score is the mean of exp(-e²/std²) for the velocity error
+    e, and still that of exp(-c²/std²) for the command c. So S is 0 for a robot that stands still, and 1 for perfect
+    tracking. After a failure, the remaining steps of a full-length episode count with the score 0.
+
+    Each axis is evaluated separately, over at least ``min_episodes`` episodes that started after the last growth of a
+    range, without the steps in which its command is at most ``command_threshold``. A range grows by ``step`` on both
+    sides after ``passes`` successive evaluations with a skill of at least ``threshold``. If a range below its limit
+    does not grow in ``patience`` evaluations, training warns and logs ``<axis>_stuck`` = 1.
 
     Args:
         limit_ranges: final [low, high] of each axis; axes that are missing do not change.
@@ -376,14 +369,12 @@ class command_levels_by_skill(TermBase):
 class terrain_levels_by_distance(TermBase):
     """Move robots to harder or easier terrain tiles by the distance covered along the command; return tile levels.
 
-    The covered distance of an episode is the time integral of the velocity component along the command's direction, in
-    horizontal axes that turn with the robot. The commanded distance of a failed episode is scaled up to the full
-    episode length. A robot moves to a harder tile if it covered at least the share ``up`` of the commanded distance,
-    and to an easier tile if it covered at most the share ``down``. If the commanded distance is below ``min_distance``,
-    a robot stays on its tile, or moves to an easier tile after a failed episode. A robot that passes the hardest row of
-    tiles moves to a random row. On ground without terrain tiles, ``terrain_levels_by_distance`` has no effect. Training
-    warns and logs ``stuck`` = 1 if the mean tile level stays in the lower half and does not rise for ``patience``
-    full-length episodes.
+    The covered distance is the time integral of the velocity along the command, in horizontal axes that turn with the
+    robot. A robot moves up if it covered at least the share ``up`` of the commanded distance, which after a failure
+    counts up to the full episode length, and down if it covered at most the share ``down``. If the commanded distance
+    is below ``min_distance``, it moves only down, after a failure. From the hardest row, it moves up to a random row.
+    Without tiles, there is no effect. Training warns and logs ``stuck`` = 1 if the mean level stays in the lower half
+    and does not rise for ``patience`` full-length episodes.
 
     Args:
         command_name: the command, whose first two components are a planar velocity, m/s.

@@ -80,8 +80,8 @@ class NoiseModelWithAdditiveBias(Stateful):
 
     Args:
         noise_cfg: the noise of every step.
-        bias_noise_cfg: the distribution of the bias; its operation must be ``abs``, so that biases do not accumulate
-            over resets.
+        bias_noise_cfg: distribution of the bias; its operation must be ``abs``, so that biases do not accumulate over
+            resets.
         sample_bias_per_component: draw one bias for each component, else one for all components of an environment.
     """
 
@@ -111,11 +111,9 @@ class SensorErrors(Stateful):
 
     Args:
         std: standard deviation of Gaussian noise, drawn for each component in each control step.
-        drift: standard deviation of each step of a random walk, which starts at 0 in each episode and is added to the
-            reading.
-        lag: largest time constant of a first-order low-pass filter, control steps. Each episode draws its time constant
-            T uniformly from [0, ``lag``]; in each step, the reading y approaches the true value x: y += (x - y) / (1 +
-            T).
+        drift: standard deviation of each step of a random walk of the reading, which starts at 0 in each episode.
+        lag: largest time constant of a low-pass filter, control steps. Each episode draws T uniformly from [0,
+            ``lag``]; in each step, the reading y approaches the true value x: y += (x - y) / (1 + T).
         resolution: distance between two possible readings; 0 means unlimited.
         lost: probability that a reading is lost in a control step; the last reading is then repeated.
     """

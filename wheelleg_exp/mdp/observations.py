@@ -82,20 +82,13 @@ def joint_pos(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = Tru
 
 
 def joint_pos_rel(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, measured: bool = True) -> torch.Tensor:
-    """Joint positions (as in ``joint_pos``) minus the default joint positions, rad.
-
-    The joint angle of a rolling wheel can become arbitrarily large.
-    """
+    """Joint positions (as in ``joint_pos``) minus the default ones, rad; unbounded for a wheel that rolls."""
     data = env.scene.articulations[asset_cfg.name].data
     return joint_pos(env, asset_cfg, measured) - picked(data.default_joint_pos, asset_cfg.joint_ids)
 
 
 class joint_pos_limit_normalized(TermBase):
-    """Joint positions on [-1, 1] between their soft limits: 2 (q - middle) / (high - low).
-
-    Args:
-        asset_cfg: the robot and its joints, each of them limited.
-    """
+    """Positions of limited joints on [-1, 1] between their soft limits: 2 (q - middle) / (high - low)."""
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
         self._data, self._ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.joint_ids
@@ -159,10 +152,7 @@ _CAMERA = SceneEntityCfg("tiled_camera")
 
 
 def height_scan(env: Env, sensor_cfg: SceneEntityCfg, offset: float = 0.5) -> torch.Tensor:
-    """Heights of a ray caster above the hit points of its rays, minus ``offset``, m, (N, rays).
-
-    A ray that hits nothing gives minus infinity, so this observation term needs a ``clip``.
-    """
+    """Heights of a ray caster above its rays' hits minus ``offset``, m, (N, rays). Set ``clip``: a miss gives -inf."""
     data = env.scene[sensor_cfg.name].data
     found: torch.Tensor = data.pos_w[:, 2:3] - data.ray_hits_w[..., 2] - offset
     return found
@@ -221,7 +211,7 @@ def image(
         sensor_cfg: the camera.
         data_type: kind of the image: ``rgb``, ``depth``, ``distance_to_camera``, ...
         convert_perspective_to_orthogonal: convert ``distance_to_camera`` to distances along the camera's axis.
-        normalize: scale colours to [0, 1] and subtract the mean of each channel; replace infinite distances (m) by 0;
+        normalize: scale colours to [0, 1] and subtract the mean of each channel; replace infinite distances, m, by 0;
             scale normals to [0, 1].
     """
     data = env.scene[sensor_cfg.name].data
@@ -266,10 +256,7 @@ def generated_commands(env: Env, command_name: str) -> torch.Tensor:
 def travel_error(env: Env, command_name: str) -> torch.Tensor:
     """Distance error (travelled minus commanded distance), m, and heading error (turned minus commanded angle), rad.
 
-    Not in Isaac Lab.
-
-    Args:
-        command_name: a command of class ``UniformVelocityTravelCommand``, which integrates the errors.
+    Not in Isaac Lab. The command must be a ``UniformVelocityTravelCommand``, which integrates the errors.
     """
     return integrated_travel_error(env, command_name)
 

@@ -20,9 +20,9 @@ class InitialStateRecorder(RecorderTerm):
 class PostStepStatesRecorder(RecorderTerm):
     """Record the robot's state at the end of each control step, before resets, with the key ``states``.
 
-    Below the key ``articulation/<name>``, a recorded state has ``root_pose`` (m, relative to the environment's origin,
-    and (w, x, y, z)), ``root_velocity`` (of the centre of mass, world axes, m/s and rad/s), ``joint_position`` (rad),
-    and ``joint_velocity`` (rad/s).
+    Below ``articulation/<name>`` are ``root_pose`` (m, relative to the environment's origin, and (w, x, y, z)),
+    ``root_velocity`` (of the centre of mass, world axes, m/s and rad/s), and ``joint_position`` and ``joint_velocity``
+    (rad, rad/s).
     """
 
     reads_observations = False
@@ -50,11 +50,7 @@ class PostStepProcessedActionsRecorder(RecorderTerm):
 
 
 class PreStepFlatPolicyObservationsRecorder(RecorderTerm):
-    """Record the observation that the policy received before each action, including noise, with the key ``obs``.
-
-    Args:
-        group: the observation group.
-    """
+    """Record the observation group ``group`` before each action, including noise, with the key ``obs``."""
 
     def __init__(self, env: Env, group: str = "policy") -> None:
         super().__init__(env)

@@ -1,6 +1,6 @@
 """Reward terms, which return one value per environment, (N,), without the factors weight and time step.
 
-The reward formulas are those of Isaac Lab, unless the docstring of a reward names a difference.
+The formulas are those of Isaac Lab, unless a docstring names a difference.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from wheelleg_exp.sim.names import match_names
 
 
 def _length(vectors: torch.Tensor) -> torch.Tensor:
-    """Return the Euclidean norms (...) of vectors (..., k)."""
     found: torch.Tensor = torch.linalg.vector_norm(vectors, dim=-1)
     return found
 
@@ -77,8 +76,7 @@ def flat_orientation_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.T
 def flat_orientation_exp(env: Env, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(g_x^2 + g_y^2) / std^2) of the projected gravity: g_x^2 + g_y^2 is sin^2 of the tilt. Not in Isaac Lab.
 
-    The gradient of this tilt reward, unlike that of a squared error, does not vanish at small tilt angles.
-    ``flat_orientation_exp`` gives an upside-down robot the same reward as an upright robot.
+    Its gradient, unlike that of a squared error, does not vanish at small tilts. Upside down, the reward is the same.
 
     Args:
         std: sine of the tilt at which 1/e of the reward remains.
@@ -101,8 +99,8 @@ def base_height_l2(
 ) -> torch.Tensor:
     """(z - target)^2 of the root link in the world, m^2; for flat ground at z = 0.
 
-    With a ray caster, the target height of the base is relative to the mean height of the ray hits. As in Isaac Lab,
-    the reward value is infinite if a ray of the ray caster has no hit. ``base_height_over_ground_l2`` needs no sensor.
+    With a ray caster, the target is relative to the mean height of the hits; as in Isaac Lab, the value is infinite if
+    a ray has no hit. ``base_height_over_ground_l2`` needs no sensor.
     """
     height = env.scene.articulations[asset_cfg.name].data.root_pos_w[:, 2]
     if sensor_cfg is not None:
@@ -119,7 +117,7 @@ def base_height_over_ground_l2(env: Env, target_height: float, asset_cfg: SceneE
 def base_height_exp(env: Env, target_height: float, std: Positive, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-(h - target)^2 / std^2) of the root link's height h above the ground straight below. Not in Isaac Lab.
 
-    The gradient of the height reward, unlike that of a squared error, does not vanish at height errors of millimetres.
+    Its gradient, unlike that of a squared error, does not vanish at errors of millimetres.
 
     Args:
         target_height: m.
@@ -134,8 +132,8 @@ def standing_exp(
 ) -> torch.Tensor:
     """exp(-(h - target)^2 / height_std^2 - s^2 / tilt_std^2); 0 upside down. Not in Isaac Lab.
 
-    h is the height of the root link above the ground straight below, m, and s the sine of the tilt. Unlike the sum of a
-    reward for the height and one for the tilt, the product pays only a robot that stands.
+    h is the root link's height above the ground, m, and s the sine of the tilt. The product pays only if both are
+    right.
     """
     height = base_height_exp(env, target_height, height_std, asset_cfg)
     upright = env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2] < 0.0
@@ -145,7 +143,7 @@ def standing_exp(
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """Sum of the norms of the linear accelerations of the selected bodies, m/s^2.
 
-    In Isaac Lab, ``body_lin_acc_norm_sum`` is called ``body_lin_acc_l2``, although the norms are not squared.
+    Isaac Lab calls it ``body_lin_acc_l2``, although the norms are not squared.
     """
     acceleration = picked(env.scene.articulations[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return _length(acceleration).sum(dim=1)
@@ -175,8 +173,7 @@ def track_lin_vel_xy_yaw_frame_exp(
 ) -> torch.Tensor:
     """exp(-|v_xy command - v_xy|^2 / std^2), velocities of the root's centre of mass in level axes that turn with it.
 
-    Unlike ``track_lin_vel_xy_exp``, this reward term does not count a leaning robot's vertical velocity as forward
-    speed.
+    Unlike in ``track_lin_vel_xy_exp``, vertical velocity of a leaning robot does not count as forward speed.
     """
     command = env.command_manager.get_command(command_name)
     forwards, sideways = level_velocity(env.scene.articulations[asset_cfg.name].data)
@@ -198,7 +195,7 @@ def track_base_height_exp(
 ) -> torch.Tensor:
     """exp(-(height command - h)^2 / std^2), h of the root link above the ground straight below, m. Not in Isaac Lab.
 
-    The first component of the command ``command_name`` must be the base's height, as in ``UniformBasePoseCommand``.
+    The height must be the first component of the command, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)[:, 0]
     error = (command - height_over_ground(env, env.scene.articulations[asset_cfg.name].data.root_pos_w)).square()
@@ -208,8 +205,8 @@ def track_base_height_exp(
 class jump_clearance(TermBase):
     """Rate at which the largest clearance of the lower wheel grows within a jump, m/s. Not in Isaac Lab.
 
-    Over a jump, the reward sums to the largest clearance, at most ``target``. The command ``command_name`` must be a
-    ``JumpCommand``; outside its window, the reward is 0.
+    Over a jump, the reward sums to the largest clearance, at most ``target``; it is 0 outside the window of the
+    ``JumpCommand`` ``command_name``.
 
     Args:
         rest: height of the wheels' links while the robot stands: the radius of the wheels, m.
@@ -239,8 +236,8 @@ class jump_clearance(TermBase):
 class jump_apex(jump_clearance):
     """Like ``jump_clearance``, for the apex that the base would reach without further forces. Not in Isaac Lab.
 
-    The apex is h + v²/2g for a base at the height h above the ground with an upward velocity v. It rises while the legs
-    push the base up, so the reward leads to a first jump.
+    The apex is h + v²/2g for a height h above the ground and an upward velocity v. It rises while the legs push, so the
+    reward leads to a first jump.
 
     Args:
         rest: height of the base while the robot stands, m.
@@ -259,7 +256,7 @@ class jump_apex(jump_clearance):
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
     """exp(-|(roll, pitch) command - (roll, pitch)|^2 / std^2), rad, pitch forwards is positive. Not in Isaac Lab.
 
-    The command ``command_name`` must consist of the base's height, roll and pitch, as in ``UniformBasePoseCommand``.
+    The command must consist of height, roll and pitch, as in ``UniformBasePoseCommand``.
     """
     command = env.command_manager.get_command(command_name)
     roll, pitch = roll_pitch(env.scene.articulations[asset_cfg.name].data.projected_gravity_b)
@@ -284,10 +281,7 @@ def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 
 
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
-    """Sum of the absolute mechanical powers |torque * velocity| of the joints, W. Not in Isaac Lab.
-
-    With ``positive_only``, the sum includes only positive joint power, not the negative power of braking joints.
-    """
+    """Sum of joint powers |torque * velocity|, W, with ``positive_only`` without braking joints. Not in Isaac Lab."""
     data = env.scene.articulations[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
     return (power.clamp(min=0.0) if positive_only else power.abs()).sum(dim=1)
@@ -311,8 +305,7 @@ def joint_acc_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
 class joint_vel_rate_l2(TermBase):
     """Sum of the squared changes of joint velocities over a control step, (rad/s)^2; 0 in an episode's first step.
 
-    Not in Isaac Lab. The term penalises jerky wheels. Unlike ``joint_vel_rate_l2``, the reward ``joint_acc_l2`` uses
-    only velocity changes over the last physics step.
+    Not in Isaac Lab. It penalises jerky wheels; ``joint_acc_l2`` sees only the last physics step.
     """
 
     def __init__(self, env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> None:
@@ -352,9 +345,8 @@ def joint_symmetry_l1(
 ) -> torch.Tensor:
     """Sum of |q_left - q_right| over pairs of left and right joint positions, rad. Not in Isaac Lab.
 
-    Joint i of the left list of joints is paired with joint i of the right list of joints. The left and the right list
-    of joints need the same ``preserve_order``. ``mirrored`` joints have opposite signs on the two sides of the robot,
-    so that a symmetric pose has |q_left + q_right| = 0.
+    The pairs have the same index in both lists, which need equal ``preserve_order``. ``mirrored`` joints have opposite
+    signs on the two sides, so that a symmetric pose has |q_left + q_right| = 0.
     """
     left = picked(env.scene[left_cfg.name].data.joint_pos, left_cfg.joint_ids)
     right = picked(env.scene[right_cfg.name].data.joint_pos, right_cfg.joint_ids)
@@ -399,7 +391,7 @@ def action_l2(env: Env) -> torch.Tensor:
 class action_acceleration_l2(TermBase):
     """Sum of squared second differences (a - 2 a_1 + a_2)^2 of the raw action over control steps. Not in Isaac Lab.
 
-    As in ``action_rate_l2``, raw actions from before the start of an episode count as 0.
+    As in ``action_rate_l2``, actions from before the start of an episode are 0.
     """
 
     def __init__(self, env: Env) -> None:
@@ -419,10 +411,7 @@ def undesired_contacts(env: Env, threshold: NonNegative, sensor_cfg: SceneEntity
 
 
 def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Number of bodies whose contact force never exceeded ``threshold`` (N) in the contact sensor's force history.
-
-    Not in Isaac Lab. If ``sensor_cfg`` selects the wheels, ``no_contact_count`` is the number of wheels in the air.
-    """
+    """Number of bodies without a contact force above ``threshold`` (N) in the sensor's history. Not in Isaac Lab."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (force <= threshold).sum(dim=1).float()
 
@@ -430,7 +419,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
     """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
 
-    Isaac Lab calls this reward term ``desired_contacts``, although the value 1 means that no body has contact.
+    Isaac Lab calls it ``desired_contacts``, although 1 means that no body has contact.
     """
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
@@ -502,10 +491,7 @@ def feet_slide(
 
 
 def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) -> torch.Tensor:
-    """1 where the horizontal contact force on some foot or wheel exceeds ``ratio`` times the vertical force, else 0.
-
-    Not in Isaac Lab. The reward term ``feet_stumble`` penalises collisions of feet with steep obstacles.
-    """
+    """1 where a foot's horizontal contact force exceeds ``ratio`` times its vertical one, else 0. Not in Isaac Lab."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).data.net_forces_w, sensor_cfg.body_ids)
     return (_length(force[..., :2]) > ratio * force[..., 2].abs()).any(dim=1).float()
 
@@ -523,8 +509,7 @@ def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) 
 def air_time_variance(env: Env, sensor_cfg: SceneEntityCfg, max_time: Positive = 0.5) -> torch.Tensor:
     """Variance of the feet's last air times plus variance of the feet's last contact times, s^2.
 
-    The feet's air and contact times are clipped to ``max_time`` (s). Not in Isaac Lab's library. The variance of the
-    feet's air and contact times penalises an uneven gait. The contact sensor must track air and contact times.
+    Not in Isaac Lab's library. Times are clipped to ``max_time`` (s). The sensor must track air and contact times.
     """
     data, ids = env.scene.contact_sensor(sensor_cfg.name).data, sensor_cfg.body_ids
     flights, stances = picked(data.last_air_time, ids), picked(data.last_contact_time, ids)
@@ -536,8 +521,8 @@ def wheel_slip(
 ) -> torch.Tensor:
     """Sum of the slip speeds at the wheels' contact points, m/s; 0 for wheels that roll without slip.
 
-    The contact point moves at v + w x (-r n): n is the normal of the wheel's contact force, v the velocity of the
-    wheel's centre of mass, w its angular velocity. Slip is the velocity of a contact point along the ground.
+    A contact point moves at v + w x (-r n): n is the normal of the contact force, v the velocity of the wheel's centre
+    of mass, w its angular velocity. Slip is the part along the ground.
 
     Args:
         radius: r of the wheels, m.

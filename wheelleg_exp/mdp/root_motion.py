@@ -15,10 +15,7 @@ def height_over_ground(env: Env, positions: torch.Tensor) -> torch.Tensor:
 
 
 def roll_pitch(projected_gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return roll and pitch, rad, (N,) each, of links with the given unit vectors of gravity in link axes, (N, 3).
-
-    The rotation of a link is R = Rz(yaw) Ry(pitch) Rx(roll).
-    """
+    """Return roll and pitch, rad, (N,) each, with R = Rz(yaw) Ry(pitch) Rx(roll), from gravity in link axes, (N, 3)."""
     x, y, z = projected_gravity.unbind(dim=1)
     return torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))
 
@@ -27,10 +24,7 @@ SIDES = ("upright", "upside_down", "face", "back", "left", "right")
 
 
 def resting_side(projected_gravity: torch.Tensor) -> torch.Tensor:
-    """Return the index in ``SIDES`` of the side on which each link lies, (N,).
-
-    ``projected_gravity`` are unit vectors of gravity (N, 3) in the link's axes: x forwards, y to the left, z up.
-    """
+    """Return the index in ``SIDES`` of the side on which each link lies, (N,), from gravity in link axes, (N, 3)."""
     x, y, z = projected_gravity.unbind(dim=1)
     return torch.stack((-z, z, x, -x, y, -y)).argmax(dim=0)
 

@@ -1,8 +1,7 @@
 """Functions for ``modify_fn`` of ``modify_env_param`` and ``modify_term_cfg``: how a value changes with time.
 
-A schedule of a setting depends on ``common_step_counter``, the number of control steps since the start of training.
-``value``, ``start``, and ``end`` have the same form as the setting: a number, a list of numbers, or a mapping to
-numbers.
+Time is ``common_step_counter``, the control steps since the start of training. ``value``, ``start``, and ``end`` have
+the form of the setting: a number, a list of numbers, or a mapping to numbers.
 """
 
 from __future__ import annotations

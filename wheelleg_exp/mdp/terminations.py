@@ -29,10 +29,7 @@ def command_resample(env: Env, command_name: str, num_resamples: Count = 1) -> t
 
 
 def bad_orientation(env: Env, limit_angle: Tilt, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """End the episode if the root is tilted by more than ``limit_angle`` (rad) from upright.
-
-    Unlike in Isaac Lab, the argument of acos is clamped, so that an upside-down robot always ends its episode.
-    """
+    """End the episode if the root is tilted by more than ``limit_angle`` (rad), also upside down, unlike Isaac Lab."""
     upright = -env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2]
     return torch.acos(upright.clamp(-1.0, 1.0)) > limit_angle
 
@@ -52,10 +49,7 @@ def root_height_over_ground_below_minimum(
 def terrain_out_of_bounds(
     env: Env, asset_cfg: SceneEntityCfg = _ROBOT, distance_buffer: NonNegative = 3.0
 ) -> torch.Tensor:
-    """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of the ground.
-
-    On ground without tiles, the termination ``terrain_out_of_bounds`` never fires.
-    """
+    """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of all tiles."""
     terrain, position = env.scene.terrain, env.scene.articulations[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
         return torch.zeros_like(position[:, 0], dtype=torch.bool)
@@ -65,10 +59,7 @@ def terrain_out_of_bounds(
 
 
 def terrain_tile_left(env: Env, margin: float = 0.0, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """End the episode if the root link is more than ``margin`` (m) outside the environment's terrain tile.
-
-    Never on ground without tiles. Not in Isaac Lab.
-    """
+    """End the episode if the root link is more than ``margin`` (m) outside the environment's tile. Not in Isaac Lab."""
     away = (env.scene.articulations[asset_cfg.name].data.root_pos_w[:, :2] - env.scene.env_origins[:, :2]).abs()
     size = env.scene.terrain.size
     return (away[:, 0] > 0.5 * size[0] + margin) | (away[:, 1] > 0.5 * size[1] + margin)

@@ -32,8 +32,7 @@ class CommandSettings:
     """A command's settings in the form of Isaac Lab's ``command.cfg``, for terms that were written for Isaac Lab.
 
     Attributes:
-        ranges: [low, high] by axis as attributes; a range that is set applies from the next draw.
-        resampling_time_range: shortest and longest time between two draws, s.
+        ranges: [low, high] by axis as attributes; a new range applies from the next draw.
         limit_ranges: the widest ranges that a curriculum may set, like ``ranges``.
     """
 
@@ -43,11 +42,7 @@ class CommandSettings:
 
 
 class RangedCommand(CommandTerm):
-    """A command with one range for each axis, from which the command's components are drawn.
-
-    Attributes:
-        ranges: [low, high] by axis; a range that is set applies from the next draw.
-    """
+    """A command with one range [low, high] for each axis; a range that is set applies from the next draw."""
 
     ranges: dict[str, list[float]]
     limit_ranges: dict[str, list[float]] = {}  # noqa: RUF012

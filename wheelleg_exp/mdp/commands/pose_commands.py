@@ -28,17 +28,13 @@ def _heading_has_a_range(simple_heading: bool, ranges: Mapping[str, object]) -> 
 class UniformPose2dCommand(RangedCommand):
     """A position near the environment's origin and a heading, in the base's yaw axes: (x, y, z) in m, rad.
 
-    The commanded position has the root height of the robot's default state. The first call of ``compute`` after a draw
-    converts the new command to the base's axes. The metrics are the last errors: distance in the plane, m, and heading,
-    rad.
+    The position has the root height of the default state. The first ``compute`` after a draw converts the command to
+    the base's axes. The metrics are the last errors: distance in the plane, m, and heading, rad.
 
     Args:
-        ranges: ``pos_x`` and ``pos_y`` are relative to the environment's origin, m, and ``heading`` is in world axes,
-            rad.
-        resampling_time_range: shortest and longest time between two draws, s.
+        ranges: ``pos_x`` and ``pos_y``, relative to the environment's origin, m, and ``heading`` in world axes, rad.
         simple_heading: use the direction to the position, or its opposite, whichever is closer to the present heading;
             else headings are drawn.
-        asset_name: the member of the scene that is commanded.
     """
 
     logs_last_error = True
@@ -112,7 +108,7 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
     """A ``UniformPose2dCommand`` whose position is a random flat patch (``target``) of the environment's terrain tile.
 
     Args:
-        ranges: ``heading`` in the world (rad).
+        ranges: ``heading`` in world axes, rad.
     """
 
     def __init__(
@@ -144,15 +140,13 @@ class TerrainBasedPose2dCommand(UniformPose2dCommand):
 class UniformPoseCommand(RangedCommand):
     """A pose of one body in the root link's frame: (x, y, z) in m and (w, x, y, z), uniform in ranges.
 
-    The metrics are the last errors: distance, m, and angle, rad, between the body and its commanded pose.
+    The metrics are the last errors of the body's pose: distance, m, and angle, rad.
 
     Args:
         body_name: expression of the one body.
-        ranges: The ranges are ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), with R = Rz(yaw)
-            Ry(pitch) Rx(roll).
-        resampling_time_range: shortest and longest time between two draws, s.
+        ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), with R = Rz(yaw) Ry(pitch)
+            Rx(roll).
         make_quat_unique: choose the quaternion whose w is not negative.
-        asset_name: the member of the scene that has the body.
     """
 
     logs_last_error = True
@@ -216,13 +210,10 @@ def _height_is_given(ranges: Mapping[str, object]) -> Iterator[Broken]:
 class UniformBasePoseCommand(RangedCommand):
     """Commands the base's height above the ground (m), roll (rad), and pitch (rad), drawn uniformly from ranges.
 
-    ``measured`` returns the base's present height, roll and pitch, which rewards can compare with the command.
+    Rewards can compare the command with ``measured``, the base's present height, roll and pitch.
 
     Args:
-        ranges: ``height`` is the height of the root link above the ground, m; ``roll`` and ``pitch``, rad, are 0 if
-            missing.
-        resampling_time_range: shortest and longest time between two draws, s.
-        asset_name: the member of the scene that is commanded.
+        ranges: ``height`` of the root link above the ground, m; ``roll`` and ``pitch``, rad, are 0 if missing.
     """
 
     def __init__(
@@ -269,12 +260,10 @@ def _window_fits(window_s: float, resampling_time_range: PositiveInterval) -> It
 class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
 
-    A jump is commanded if the ground rises by more than ``rise`` from the base to the point that the base reaches after
-    ``ahead_s`` seconds at the commanded speed, also on a slope. The heights are those of the terrain, as an ideal
-    height scanner measures them.
+    The jumps before steps start if the terrain, also a sloping one, rises by more than ``rise`` from the base to the
+    point that it reaches after ``ahead_s`` seconds at the commanded speed.
 
     Args:
-        resampling_time_range: shortest and longest time between two draws, s.
         window_s: time in which the robot must jump, s.
         rel_jumping_envs: share of draws with a jump.
         velocity_command: name of the velocity command; null means no jumps before steps.

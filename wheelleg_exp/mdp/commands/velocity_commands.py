@@ -29,19 +29,16 @@ def _heading_has_a_range(ranges: Mapping[str, object], heading_command: bool = F
 class UniformVelocityCommand(RangedCommand):
     """Planar velocity in the base's axes: (v_x, v_y) in m/s and yaw rate in rad/s, uniform in their ranges.
 
-    In environments that are drawn as standing, the velocity command is zero. With ``heading_command``, some
-    environments turn towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. As in Isaac
-    Lab, the first observation after ``reset`` contains the drawn velocity even if the robot must stand or turn.
+    The command is zero in environments that are drawn as standing. With ``heading_command``, some environments turn
+    towards a target heading with the yaw rate ``w_z = clip(k * wrap(target - heading))``. As in Isaac Lab, the first
+    observation after ``reset`` contains the drawn velocity even if the robot must stand or turn.
 
     Args:
-        ranges: The ranges are ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or
-            null).
-        resampling_time_range: shortest and longest time between two draws, s.
+        ranges: ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s), and ``heading`` (rad, or null).
         rel_standing_envs: share of draws that stand still.
         rel_heading_envs: share of draws that follow a heading.
         heading_command: whether headings are drawn.
         heading_control_stiffness: k, 1/s.
-        asset_name: the member of the scene that is commanded.
         limit_ranges: widest ranges, for terms of other projects that read ``command.cfg.limit_ranges``.
     """
 
@@ -133,11 +130,11 @@ def _is_a_distribution(ranges: Mapping[str, _Three]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    This command has no target headings.
+    There are no target headings.
 
     Args:
-        ranges: ``mean_vel``, ``std_vel`` and ``zero_prob`` are means, standard deviations, and probabilities of zero
-            for v_x, v_y (m/s) and w_z (rad/s).
+        ranges: ``mean_vel``, ``std_vel`` and ``zero_prob``: means, standard deviations, and probabilities of zero for
+            v_x, v_y (m/s) and w_z (rad/s).
     """
 
     def __init__(
@@ -173,18 +170,17 @@ _ROLLS = 0.5  # A wheel can roll along x if its axle is less than 60 degrees awa
 class UniformVelocityTravelCommand(UniformVelocityCommand):
     """A uniform velocity command that also integrates the robot's velocity error. Not in Isaac Lab.
 
-    Because velocity measurements have errors, a policy that observes only velocities drifts at a zero command. A policy
-    that observes the integrated error can hold its position, like an integral controller. The error is computed from
-    quantities that a robot can measure: the rates of its wheels, assuming that they roll, and the yaw rate of its
-    gyroscope.
+    A policy that observes only velocities, whose measurements have errors, drifts at a zero command. With the
+    integrated error, it can hold its position, like an integral controller. The error is computed from what a robot can
+    measure: the rates of its rolling wheels, and the yaw rate of its gyroscope.
 
     A robot on two wheels must first roll back before it can drive off, and it falls if the command jumps to a high
     speed. With ``max_lin_acceleration`` and ``max_ang_acceleration``, the command starts from zero at a reset and
     approaches the drawn target (``asked``) at a limited rate.
 
     Args:
-        wheel_cfg: joints of the wheels. Each wheel's rolling direction is derived from the wheel's axis in the model,
-            so that mirrored wheels are averaged correctly.
+        wheel_cfg: joints of the wheels. Their rolling directions come from their axes in the model, so mirrored wheels
+            are averaged correctly.
         wheel_radius: radius of the wheels, m.
         max_travel_error: bound of the integrated distance, m; distance beyond it is forgotten.
         max_heading_error: bound of the integrated angle, rad.
@@ -255,9 +251,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | Sequence[int] | slice) -> list[float]:
     """Return 1 for each wheel that a positive joint velocity rolls along the base's x axis, otherwise -1.
 
-    ``joint_ids`` are the indices of the wheels in ``robot.joint_names``. The directions of the wheels' axes are those
-    in the robot's default pose. A wheel that turns about an axis a rolls along the cross product of a and the vertical.
-    A wheel's rolling direction has the sign of the component of the wheel's axis along the base's y axis.
+    ``joint_ids`` are indices in ``robot.joint_names``. In the default pose, a wheel rolls along the cross product of
+    its axis and the vertical: the sign is that of the axis' component along the base's y axis.
     """
     data = mujoco.MjData(model)
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):

@@ -25,8 +25,7 @@ def set_permanent_body_wrench(
 ) -> None:
     """Draw a force (N) and a torque (N·m), in link axes, that act on each body's centre of mass until the next reset.
 
-    One range of forces or torques applies to all three axes of a link. Isaac Lab's name is
-    ``apply_external_force_torque``.
+    Each range applies to all three axes. Isaac Lab's name is ``apply_external_force_torque``.
     """
     ids = all_ids(env, env_ids)
     robot = env.scene.articulations[asset_cfg.name]
@@ -53,9 +52,9 @@ class push_by_adding_velocity(TermBase):
     Isaac Lab: ``push_by_setting_velocity``.
 
     Args:
-        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
         frame: ``world``, as in Isaac Lab; or ``yaw``, level axes that turn with the robot: x forwards, y to the left.
-        curriculum_name: a curriculum term with a level for each robot, which multiplies the robot's velocity changes.
+        curriculum_name: a curriculum term with a level for each robot, which multiplies the added velocity.
     """
 
     adds = True
@@ -104,9 +103,8 @@ class set_root_velocity(push_by_adding_velocity):
 class apply_body_impulse(TermBase):
     """Push bodies at random times with a constant force (N) and torque (N·m), in the event mode ``step``.
 
-    A push acts on each body's centre of mass in link axes, in addition to the wrenches of other events. One range of
-    forces or torques applies to all three axes of a link, and each body gets its own random draw. Each episode starts
-    with a pause before the first push. A reset ends a push.
+    A push acts on centres of mass in link axes, in addition to the wrenches of other events, until a reset at the
+    latest. Each range applies to all three axes, with separate draws for each body. Each episode starts with a pause.
 
     Args:
         force_range: [low, high], N.

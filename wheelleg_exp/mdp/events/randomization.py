@@ -49,8 +49,7 @@ def all_ids(env: Env, env_ids: torch.Tensor | None) -> torch.Tensor:
 def pair_error(pair: Sequence[float], operation: str, distribution: str, least: str = "") -> str | None:
     """Return None if ``pair`` is valid for a distribution, else its valid form, such as ``[low, high], above 0``.
 
-    Isaac Lab accepts the same parameters of distributions. ``least`` is the lower limit of scale factors: ``above 0``,
-    ``at least 0``, or an empty string for no limit.
+    ``least`` is the lower limit of scale factors: ``above 0``, ``at least 0``, or an empty string for no limit.
     """
     first, second = pair
     gaussian = distribution == "gaussian"
@@ -64,7 +63,7 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
 def ranges(**limits: str) -> Callable[..., Iterator[Broken]]:
     """Return a rule about the ranges of an event, such as low <= high.
 
-    ``limits`` maps the parameters that are ranges to the lower limits of scale factors, as in ``pair_error``.
+    ``limits`` maps the ranges among the parameters to ``least`` of ``pair_error``.
     """
 
     def rule(operation: Operation, distribution: Distribution, **given: Any) -> Iterator[Broken]:
@@ -82,10 +81,9 @@ _ROBOT = SceneEntityCfg("robot")
 class randomize_rigid_body_material(TermBase):
     """Give each collision shape of the robot in each environment one of ``num_buckets`` random materials.
 
-    PhysX combines the friction coefficients of two touching shapes, but MuJoCo takes the larger coefficient. To match
-    PhysX, the robot's shapes get the combined friction (``env.robot.friction_combine_mode``) and a higher priority than
-    the ground. MuJoCo has only one Coulomb friction coefficient, which ``env.robot.friction_source`` selects (static or
-    dynamic). A restitution is drawn and stored in ``materials``, but has no effect in MuJoCo.
+    PhysX combines the friction coefficients of two shapes, but MuJoCo takes the larger one. Therefore, the robot's
+    shapes get the combined one (``env.robot.friction_combine_mode``) and a higher priority than the ground. MuJoCo has
+    a single coefficient, which ``env.robot.friction_source`` selects. Restitution has no effect.
 
     Args:
         static_friction_range: [low, high].
@@ -151,10 +149,7 @@ def randomize_rigid_body_mass(
     recompute_inertia: bool = True,
     min_mass: Positive = 1e-6,
 ) -> None:
-    """Change body masses (kg) relative to the default masses.
-
-    The bodies' inertias scale with the bodies' masses, and the bodies' centres of mass do not change.
-    """
+    """Change body masses, kg, relative to the defaults, and scale inertias with them; centres of mass stay in place."""
     robot = env.scene[asset_cfg.name]
     chosen = all_ids(env, env_ids)
     ids, bodies, sim = chosen.unsqueeze(1), robot.body_ids[asset_cfg.body_ids], env.scene.sim
@@ -183,9 +178,8 @@ def randomize_rigid_body_inertia(
 ) -> None:
     """Change each principal moment of inertia (kg·m^2) relative to the moment's default value, but not the masses.
 
-    Each moment of inertia is at least ``min_inertia`` and, as for every physical body, at most the sum of the body's
-    two other moments. This term and ``randomize_rigid_body_mass``, which scales moments with the mass, both start from
-    the model's values: on one body the later term overwrites the earlier one.
+    Each moment is at least ``min_inertia`` and at most the sum of the other two. ``randomize_rigid_body_mass`` scales
+    moments too, from the same model values: on one body, the later term overwrites the earlier one.
     """
     robot, sim = env.scene[asset_cfg.name], env.scene.sim
     ids, bodies = all_ids(env, env_ids), robot.body_ids[asset_cfg.body_ids]
@@ -206,10 +200,7 @@ def randomize_rigid_body_com_cumulative(
     generator: torch.Generator,
     asset_cfg: SceneEntityCfg = _ROBOT,
 ) -> None:
-    """Shift the centres of mass of the bodies by a random offset per environment, m, in link axes.
-
-    If the event runs repeatedly, the offsets of the centres of mass accumulate.
-    """
+    """Shift the bodies' centres of mass by a random offset per environment, m, in link axes. Repeated events add up."""
     ids = all_ids(env, env_ids)
     robot = env.scene[asset_cfg.name]
     bodies = robot.body_ids[asset_cfg.body_ids]
@@ -238,7 +229,7 @@ def randomize_actuator_gains(
 ) -> None:
     """Change stiffness (N·m/rad) and damping (N·m·s/rad) of each joint's actuator relative to the config's values.
 
-    Negative gains become 0. Actuators with a neural network have no gains; their stiffness and damping remain NaN.
+    Negative gains become 0. Actuators with a neural network have no gains: they remain NaN.
     """
     robot, ids = env.scene[asset_cfg.name], all_ids(env, env_ids)
     data, joints = robot.data, asset_cfg.joint_ids
@@ -263,9 +254,8 @@ def randomize_actuator_gains(
 class randomize_joint_parameters(TermBase):
     """Change friction, armature and position limits of each joint relative to the model's values.
 
-    As in Isaac Lab, the range of friction applies to the joint's friction loss (N·m) and, with a separate draw, to its
-    viscous friction (N·m·s/rad). Negative values of a joint's friction or armature become 0. The joints' soft limits
-    change together with the position limits, and default positions are clamped to soft limits.
+    As in Isaac Lab, friction loss (N·m) and viscous friction (N·m·s/rad) get separate draws from one range. Negative
+    friction and armature become 0. Soft limits change with the position limits, and clamp default positions.
 
     Args:
         friction_distribution_params: for friction loss and viscous friction; null keeps both.
@@ -273,7 +263,7 @@ class randomize_joint_parameters(TermBase):
         lower_limit_distribution_params: rad; null keeps the limit.
         upper_limit_distribution_params: rad; null keeps the limit.
         operation: how the draw changes the model's value.
-        distribution: ``gaussian`` uses [mean, standard deviation]; all other distributions use [low, high].
+        distribution: ``gaussian`` uses [mean, standard deviation], all others [low, high].
     """
 
     def __init__(
@@ -333,10 +323,9 @@ class randomize_joint_parameters(TermBase):
 class randomize_encoder_bias(TermBase):
     """Draw the bias of each joint's encoder, rad: the reading is position + bias.
 
-    A joint's drive controls the biased encoder reading, so the joint's true position differs from the target by the
-    bias. Observations contain the biased reading (``joint_pos`` and ``joint_pos_rel`` unless ``measured: false``), and
-    actions relative to the current position use the biased reading. Rewards and terminations use the joints' true
-    positions, without encoder biases.
+    A drive controls the reading, so the true position differs from the target by the bias. Observations (``joint_pos``
+    and ``joint_pos_rel`` unless ``measured: false``) and actions relative to the current position use the reading;
+    rewards and terminations use the true position.
 
     Args:
         bias_range: [low, high], rad, drawn for each joint.
@@ -361,8 +350,7 @@ class randomize_imu_errors(TermBase):
     """Draw how the IMU is mounted on the root link, and the bias of its gyroscope. Not in Isaac Lab.
 
     The observations ``base_ang_vel``, ``projected_gravity`` and ``base_roll_pitch``, commands that integrate the yaw
-    rate, and sensors of the class ``Imu`` on the root link show these errors. Rewards and terminations that read no
-    sensor use the true motion.
+    rate, and sensors ``Imu`` on the root link show these errors; rewards and terminations without a sensor do not.
 
     Args:
         tilt_range: rotation of the IMU about its axes: ``roll``, ``pitch``, ``yaw``, rad.
@@ -413,8 +401,7 @@ def randomize_effort_limits(
 class randomize_floor_slope(TermBase):
     """Tilt gravity in the world, which has the same effect as a sloping floor. Not in Isaac Lab.
 
-    Unlike after ``randomize_physics_scene_gravity``, the observation ``projected_gravity`` and sensors of the class
-    ``Imu`` show the tilted gravity.
+    Unlike after ``randomize_physics_scene_gravity``, ``projected_gravity`` and sensors ``Imu`` show the tilt.
 
     Args:
         slope_range: [low, high], angle between the floor and the horizontal, rad; its direction is uniform.
@@ -461,9 +448,8 @@ def randomize_physics_scene_gravity(
 ) -> None:
     """Change gravity (m/s^2, world axes) relative to ``env.sim.gravity``. Each axis is drawn separately.
 
-    As in Isaac Lab, one gravity vector applies to all environments, including environments that are not reset. With
-    ``per_env``, each environment in which the event runs gets its own gravity vector. The observation
-    ``projected_gravity`` always uses the direction of ``env.sim.gravity``.
+    As in Isaac Lab, one vector applies to all environments, including those that are not reset; with ``per_env``, each
+    environment in which the event runs gets its own. ``projected_gravity`` always uses ``env.sim.gravity``.
     """
     sim = env.scene.sim
     default = torch.tensor(env.scene.model.opt.gravity, dtype=torch.float32, device=env.device)

@@ -23,12 +23,11 @@ _ROBOT = SceneEntityCfg("robot")
 class reset_root_state_uniform(TermBase):
     """Place the root at the sum of the root's default position, the environment's origin, and a uniform offset.
 
-    The root's orientation is ``quat = default * euler_xyz(U)``, in body axes. The drawn velocity is that of the root's
-    centre of mass in world axes.
+    The orientation is ``default * euler_xyz(U)``, in body axes; the velocity is the centre of mass's, in world axes.
 
     Args:
-        pose_range: The pose ranges are ``x``, ``y``, ``z`` in m, and ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        pose_range: ``x``, ``y``, ``z`` in m, and ``roll``, ``pitch``, ``yaw`` in rad.
+        velocity_range: ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     def __init__(
@@ -83,11 +82,11 @@ def _drop(model: mujoco.MjModel, addresses: list[int], start: list[float], secon
 class reset_to_resting_pose(TermBase):
     """Lay the robot on level ground in a random pose in which the limp robot came to rest. Not in Isaac Lab.
 
-    The term drops the robot ``num_poses`` times, without torques, in random orientations and with random positions of
-    the limited joints. Each reset selects a resting pose and a heading. Checkpoints store poses and weights.
+    The poses come from ``num_poses`` drops without torques, in random orientations and with random positions of the
+    limited joints. Checkpoints store poses and weights.
 
     Args:
-        share: share of resets that lay the robot down; the others leave the pose that earlier events have set.
+        share: share of resets that lay the robot down; the others keep the pose that earlier events have set.
         by_side: whether each side on which the robot can lie is equally likely, instead of each pose.
         num_poses: number of drops.
         drop_height: height of the root link at the start of a drop, m.
@@ -143,13 +142,12 @@ class reset_to_resting_pose(TermBase):
 class reset_root_state_from_terrain(TermBase):
     """Place the root above a random flat patch of the environment's terrain tile, with a random orientation.
 
-    The terrain's config key ``flat_patches.init_pos`` defines the flat patches. The root's new position is the flat
-    patch's position plus the root's default position; the root's default orientation has no effect. The drawn velocity
-    is that of the root's centre of mass in world axes.
+    The patches are the terrain's ``flat_patches.init_pos``. The root is placed at the patch plus its default position;
+    its default orientation has no effect. The velocity is that of the root's centre of mass in world axes.
 
     Args:
         pose_range: ``roll``, ``pitch``, ``yaw`` in rad.
-        velocity_range: The velocity ranges are ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
+        velocity_range: ``x``, ``y``, ``z`` in m/s, and ``roll``, ``pitch``, ``yaw`` in rad/s.
     """
 
     def __init__(
@@ -191,7 +189,7 @@ def reset_joints_by_scale(
 ) -> None:
     """Set joint positions and velocities to their defaults times uniform factors, clipped to the soft limits.
 
-    Default joint positions and velocities of 0 remain 0. Coupled joints follow, as in ``reset_joints_by_offset``.
+    Defaults of 0 remain 0. Coupled joints follow, as in ``reset_joints_by_offset``.
     """
     _reset_joints(env, env_ids, torch.mul, (position_range, velocity_range), generator, asset_cfg)
 
@@ -206,7 +204,7 @@ def reset_joints_by_offset(
 ) -> None:
     """Set joint positions (rad) and velocities (rad/s) to their defaults plus uniform offsets, clipped to limits.
 
-    Joints that follow other joints (mimic joints) follow. Passive joints of closed loops follow up to second order.
+    Mimic joints follow, and so do passive joints of closed loops, up to second order.
     """
     _reset_joints(env, env_ids, torch.add, (position_range, velocity_range), generator, asset_cfg)
 
@@ -236,10 +234,7 @@ def _reset_joints(
 
 
 def reset_scene_to_default(env: Env, env_ids: torch.Tensor | None, reset_joint_targets: bool = False) -> None:
-    """Reset the robot to its default root and joint state.
-
-    If ``reset_joint_targets`` is True, the joint targets are set to the default joint positions and velocities.
-    """
+    """Reset the robot, and with ``reset_joint_targets`` also its joint targets, to its default root and joint state."""
     ids = all_ids(env, env_ids)
     robot = env.scene.robot
     data = robot.data
