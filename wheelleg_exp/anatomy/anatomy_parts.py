@@ -58,9 +58,8 @@ class Leg:
 class MirroredPair:
     """Two joints that are mirror images, ``left`` and ``right``, or one joint that is its own image.
 
-    A position q of the joint ``left`` is the mirror image of the position ``sign`` · q of the joint ``right``. The
-    mirror image of the left joint's axis is ``offset`` (m) and ``tilt`` (rad) away from the right joint's axis. A
-    displacement along a hinge's own axis, or of a slide, has no effect on the motion and does not count.
+    The image of the left position q is the right position ``sign`` · q. The image of the left axis is ``offset`` (m)
+    and ``tilt`` (rad) away from the right axis. A shift along a hinge's axis, or of a slide, does not count.
     """
 
     left: str

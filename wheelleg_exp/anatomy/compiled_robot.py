@@ -30,8 +30,7 @@ _WEAK, _NO_DRIVE = 1e-3, 1e-9  # the stiffness of drives without stiffness, and 
 class Drive:
     """The actuator of one joint: kp, N·m/rad, kd, N·m·s/rad, largest torque, N·m, and largest speed, rad/s.
 
-    ``stiffness`` and ``damping`` are NaN if a neural network computes the actuator's torque. An ``explicit`` drive
-    computes the torque before each physics step.
+    ``stiffness`` and ``damping`` are NaN for a neural network. An ``explicit`` torque is computed before each step.
     """
 
     group: str
@@ -68,10 +67,9 @@ class Joint:
 class Balance:
     """The inverted pendulum that is equivalent to a robot on one axle.
 
-    ``mass``, kg, and ``inertia`` about the axle, kg·m², are those of the robot without its wheels. ``height``, m, is
-    the distance from the axle to the centre of mass of the robot without its wheels. With locked wheel joints, the
-    whole robot tips over like one rigid body, at the exponential rate ``pole``, rad/s. If the axle cannot move, the
-    robot tips over at the exponential rate ``pendulum`` = sqrt(``mass`` · gravity · ``height`` / ``inertia``), rad/s.
+    ``mass``, kg, ``inertia`` about the axle, kg·m², and ``height`` of the centre of mass above the axle, m, are those
+    without the wheels. With locked wheel joints, the robot tips over at the exponential rate ``pole``, rad/s; with a
+    fixed axle, at ``pendulum`` = sqrt(``mass`` · gravity · ``height`` / ``inertia``), rad/s.
     """
 
     mass: float

@@ -34,10 +34,9 @@ _AROUND = 48
 class Found:
     """The hinge and the shape of a part that may be a wheel, in the world frame, m.
 
-    The hinge ``joint`` moves ``bodies``. ``centre`` is the point on the hinge's axis midway between the two sides of
-    the wheel's colliders. ``radius`` is the wheel's largest radius about the hinge's axis. ``roundness`` is the wheel's
-    smallest radius divided by its largest radius. ``off_axis`` is the distance of a round wheel's own axis from the
-    hinge's axis; 0 for colliders that are not round.
+    The hinge ``joint`` moves ``bodies``. ``centre`` is on its axis, midway between the sides of the colliders.
+    ``radius`` is the largest radius about the axis, and ``roundness`` the smallest divided by it. ``off_axis`` is the
+    distance of a round wheel's own axis from the hinge's; 0 for colliders that are not round.
     """
 
     joint: int
@@ -231,9 +230,8 @@ def find_pairs(
 ) -> tuple[list[MirroredPair], list[str], float]:
     """Return the pairs of mirrored joints, the joints without a mirror image, and the median distance of images, m.
 
-    The mirror plane has the unit normal ``left`` (3,) and contains the point ``middle`` (3,), m, in world coordinates.
-    ``size`` is the longest edge of the robot's bounding box, m. ``wheels`` maps each wheel joint to its wheel's centre,
-    m, which is used instead of the joint's place.
+    The mirror plane has the unit normal ``left`` (3,) and contains ``middle`` (3,), m. ``size`` is the longest edge of
+    the bounding box, m. ``wheels`` maps wheel joints to centres, m, which are used instead of the joints' places.
     """
     flip = np.eye(3) - 2.0 * np.outer(left, left)
     joints = tree.joints

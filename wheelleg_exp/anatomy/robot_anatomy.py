@@ -26,11 +26,10 @@ def anatomy_of(
 ) -> Anatomy:
     """Find the parts of a robot at the pose ``qpos`` (nq,), by default qpos0; ValueError for a model without bodies.
 
-    A wheel turns on a hinge without limits, or with a range of more than one and a half turns. The hinge of a wheel is
-    horizontal, and is the last joint of the kinematic chain. A wheel's colliders are near the ground and round about
-    the hinge's axis. Nearly round colliders suffice if the link has a wheel's mass distribution. ``driven`` are the
-    joints with a motor: by default the joints with actuators in the model, or all joints if the model has no actuators.
-    If ``driven`` is None and the model has no actuators, only geometry decides which wheels are casters.
+    A wheel turns on a horizontal hinge, the last joint of its chain, without limits or with a range of more than one
+    and a half turns. Its colliders are near the ground and round about the axis; nearly round ones suffice with a
+    wheel's mass distribution. ``driven`` are the joints with a motor: by default those with actuators, or all joints in
+    a model without actuators, where only geometry decides which wheels are casters.
     """
     data = mujoco.MjData(model)
     if qpos is not None:

@@ -49,10 +49,9 @@ class Stance:
 def solve_stance(model: mujoco.MjModel, anatomy: Anatomy, qpos: Sequence[float] | Array) -> Stance | None:
     """Find a robot's standing pose near a given pose; None if the robot has no parallel wheel axles.
 
-    The base keeps its orientation in the pose ``qpos``, and only leg joints move. Without leg joints, the stance of a
-    robot on one axle contains its lean; the result is None for several axles. ``mujoco.minimize`` solves a
-    nonlinear least-squares problem from several starts. If possible, all wheels touch the ground in the standing pose;
-    otherwise, only those that touch the ground in ``qpos``.
+    The base keeps its orientation in ``qpos``, and only leg joints move. Without them, the stance of a robot on one
+    axle contains its lean, and is None for several axles. ``mujoco.minimize`` solves a least-squares problem from
+    several starts. If possible, all wheels touch the ground; otherwise, those that do in ``qpos``.
     """
     if anatomy.forward is None:
         return None
@@ -207,7 +206,6 @@ class _Problem:
         return float(np.square(self.residual(positions)).sum())
 
     def search(self, start: Array) -> Array:
-        """Return the leg pose that minimises the sum of squared residuals, searched from a start pose."""
 
         def columns(poses: Array) -> Array:
             return np.stack([self.residual(pose) for pose in poses.T], axis=1)

@@ -27,10 +27,9 @@ from wheelleg_exp.terms.config_values import require_fit
 
 
 def find_extra_files(env: Mapping[str, object], roots: Sequence[Path] = ()) -> dict[str, Path]:
-    """Return the files that an ``env`` section names in addition to the robot file.
+    """Return the actuator networks and the terrain file that an ``env`` section names, by path of their copies.
 
-    An ``env`` section can name actuator networks and a terrain file. The returned dict maps the path of each file's
-    copy in the MJCF's folder to the original file. ``roots`` are user-defined asset folders.
+    The paths are in the MJCF's folder. ``roots`` are user-defined asset folders.
     """
     robot, scene = env["robot"], env.get("scene")
     groups = robot.get("actuators") if isinstance(robot, Mapping) else None
@@ -79,11 +78,7 @@ class CachedConversion:
 def source_digest(
     source: Path, variants: Mapping[str, str] | None = None, extra_files: Mapping[str, Path] | None = None
 ) -> dict[str, str]:
-    """Return the sha256 of every source file of the robot, by path relative to the robot file's folder.
-
-    A robot's source files are the layers of a USD stage, or a URDF file and its meshes. ``extra_files`` adds source
-    files, such as actuator networks, that are copied to the MJCF's folder.
-    """
+    """Return the sha256 of all source files and ``extra_files``, by path relative to the robot file's folder."""
     source, chosen = Path(source), variants or {}
     with bounded_memory(source):
         files = source_files(source) if is_urdf(source, chosen) else open_stage(source, chosen).layers

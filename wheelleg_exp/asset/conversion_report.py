@@ -137,10 +137,8 @@ class DofOrder:
 class Report:
     """The report of one conversion.
 
-    ``layers`` maps each source file of the robot to the sha256 of that file. ``velocity_limits`` gives each degree of
-    freedom's velocity limit in rad/s (m/s). A controller needs velocity limits, but an MJCF file cannot contain
-    velocity limits. ``values`` contains the converted robot's numbers, such as masses and joint limits. ``authored``
-    maps each joint's path to the joint's original numbers, in the units of the robot file.
+    ``layers`` maps source files to sha256. ``velocity_limits``, rad/s (m/s), are only here, because MJCF cannot contain
+    them. ``values`` are the converted numbers, and ``authored`` the original ones by joint path, in the file's units.
     """
 
     source: str

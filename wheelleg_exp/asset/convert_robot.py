@@ -45,9 +45,8 @@ def convert(
 ) -> Conversion:
     """Convert a USD or URDF file to MJCF. The folder of the meshes is ``<output's stem>_meshes``.
 
-    The ``base`` mode ``floating`` removes joints that fix the robot to the world; ``fixed`` removes the root's free
-    joint. The mode ``auto`` keeps joints to the world as in the robot file; a URDF robot without such a joint floats.
-    ``variants`` maps each USD variant set to the name of the selected variant. An existing output is replaced.
+    ``floating`` removes joints that fix the robot to the world, ``fixed`` the root's free joint, and ``auto`` neither;
+    a URDF robot without a joint to the world floats. ``variants`` selects USD variants. An existing output is replaced.
     """
     source, output = Path(source), Path(output)
     try:
@@ -125,8 +124,7 @@ def read(source: Path, base: BaseMode, variants: Mapping[str, str]) -> tuple[Rob
 def _rooted_at_mass(robot: RobotDescription, report: Report) -> tuple[RobotDescription, Report]:
     """Make the first link with mass the robot's root, in place of nearly massless parents such as base_footprint.
 
-    Tasks measure a robot's height, velocity, and tilt at the robot's root link. No link moves: the massless links are
-    welded to the new root at their old poses.
+    Tasks measure height, velocity, and tilt at the root link. No link moves: massless links are welded to the new root.
     """
     root = next(robot.children(None), None)
     least = _LIGHT * robot.mass

@@ -101,7 +101,6 @@ def bounded_memory(source: Path, most: int = 0) -> Iterator[None]:
     """On Linux, limit this process to ``most`` bytes (default: 8 GiB) more memory than it uses at the time of the call.
 
     A tiny damaged USD crate file can declare a huge array, which the USD library allocates before it checks the file.
-    The memory limit applies to all threads of the process.
     """
     require_room()
     with _lock:

@@ -260,10 +260,7 @@ def balanced(moments: Vec3) -> Vec3:
 
 
 def primitive(kind: str, size: tuple[float, ...]) -> Solid:
-    """Return the solid of a box, sphere, ellipsoid, capsule, cylinder, or cone (``size`` as in MuJoCo).
-
-    The tip of a cone is at z = ``half``, and its base at z = ``-half`` (m).
-    """
+    """Return the solid of a primitive (``size`` as in MuJoCo); a cone's tip is at z = ``half``, its base below."""
     center = np.zeros(3)
     if kind in ("box", "sphere", "ellipsoid"):
         a, b, c = size if len(size) == 3 else size * 3
@@ -326,9 +323,8 @@ def _inset(kind: str, size: tuple[float, ...], depth: float) -> Solid | None:
 def mesh_solid(vertices: Array, faces: NDArray[np.int64] | None, volume: MeshVolume) -> Solid:
     """Return the solid of a mesh with points in m, from MuJoCo's compiler; ValueError if the mesh has no volume.
 
-    ``faces`` (k, 3) contains the indices of each triangle's points; None means the triangles of the convex hull.
-    ``volume`` is a value of the MJCF mesh attribute ``inertia``, such as ``convex``. With ``shell``, ``Solid.volume``
-    is the mesh's area in m².
+    ``faces`` (k, 3) are indices of points; None means the convex hull. ``volume`` is a value of the MJCF mesh attribute
+    ``inertia``; with ``shell``, ``Solid.volume`` is the mesh's area in m².
     """
     import mujoco
 

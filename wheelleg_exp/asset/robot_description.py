@@ -89,9 +89,8 @@ class Geom:
 class Drive:
     """A motor on one degree of freedom.
 
-    Units for a hinge (slide): ``stiffness`` N·m/rad (N/m), ``damping`` N·m·s/rad (N·s/m), ``target_position`` rad (m).
-    ``effort`` is the motor's largest torque in N·m (force in N); None means unlimited. If ``acceleration`` is true, the
-    motor's gains are multiplied by the joint's effective inertia.
+    Of a hinge (slide): ``stiffness`` N·m/rad (N/m), ``damping`` N·m·s/rad (N·s/m), ``target_position`` rad (m), largest
+    torque ``effort`` N·m (N), None if unlimited. With ``acceleration``, gains are multiplied by the joint's inertia.
     """
 
     kind: DriveKind
@@ -107,11 +106,9 @@ class Drive:
 class Dof:
     """A MuJoCo joint (hinge, slide, or ball) between a body and its parent body.
 
-    The joint's axis and anchor (m) are in the body's frame. ``range`` is the joint's limits, rad (m); None if
-    unlimited. The MJCF keyframe ``home`` contains the joint's ``position`` and ``velocity``. ``ref`` is the joint's
-    position in the pose ``Body.pose``, like the MJCF attribute ``ref``. ``force_range``, N·m (N), limits the total
-    torque (force) of the joint's motors. Controllers must respect the limit ``max_velocity``, rad/s (m/s), because
-    MuJoCo does not limit velocities.
+    Axis and anchor (m) are in the body's frame. ``range``, rad (m), is None if unlimited. ``position`` and ``velocity``
+    are for the keyframe ``home``; ``ref`` is the position in ``Body.pose``. ``force_range``, N·m (N), limits the sum of
+    the motors' torques. ``max_velocity``, rad/s (m/s), is for controllers, because MuJoCo does not limit velocities.
     """
 
     name: str
@@ -248,8 +245,7 @@ Part = Body | Dof | Geom | Closure | Coupling | Tendon | Actuator | Keyframe
 class RobotDescription:
     """Everything that a simulator needs to know about a robot. ``bodies`` lists each parent body before its children.
 
-    ``static_geoms`` and ``static_sites`` belong to the world body. ``option``, ``flag``, and ``compiler`` contain
-    attributes of the MJCF elements with these names.
+    ``static_*`` belong to the world. ``option``, ``flag``, and ``compiler`` are attributes of these MJCF elements.
     """
 
     name: str

@@ -3,9 +3,8 @@
 For example, the line ``from isaaclab.managers import SceneEntityCfg`` becomes ``from wheelleg_exp.isaaclab.managers
 import SceneEntityCfg``. ``docs/isaaclab.md`` describes the differences.
 
-Only the modules ``managers``, ``markers``, and ``utils`` have source files. All other modules, such as ``envs``, only
-give Isaac Lab's names to existing classes. The import of ``wheelleg_exp.isaaclab`` creates these modules from
-``_MODULES``.
+Only ``managers``, ``markers``, and ``utils`` have source files. The import of this package creates all other modules,
+which give Isaac Lab's names to existing classes, from ``_MODULES``.
 """
 
 from __future__ import annotations

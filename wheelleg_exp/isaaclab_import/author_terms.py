@@ -22,10 +22,7 @@ _OLD = {"omni.isaac.lab_tasks": "isaaclab_tasks", "omni.isaac.lab": "isaaclab"}
 
 
 class AuthorTerms:
-    """The Python files below a folder, and the modules that ``target`` has made of them, by name, as text.
-
-    ``version_3`` says that the files were written for Isaac Lab 3.0.
-    """
+    """The Python files below a folder, for Isaac Lab 3.0 if ``version_3``, and the texts of modules made of them."""
 
     def __init__(self, folder: Path | None, package: str, version_3: bool = False) -> None:
         self._package, self._version_3 = package, version_3
@@ -39,10 +36,7 @@ class AuthorTerms:
         self._names: dict[Path, str] = {}
 
     def target(self, path: str, parameters: Iterable[str] = ()) -> str | None:
-        """Return the target of ``module:name`` in the new package; None if no file defines the name.
-
-        If several files fit equally, the definition with all ``parameters`` is taken.
-        """
+        """Return the target of ``module:name``, preferably with all ``parameters``; None if no file defines it."""
         module, _, name = path.replace(":", ".").rpartition(".")
         parts = module.split(".")
         defining = [file for file in self._files if name in self._definitions(file)]

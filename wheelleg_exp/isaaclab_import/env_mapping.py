@@ -81,12 +81,10 @@ _FRICTION = 0.5  # Isaac Lab's default coefficient of a material
 class EnvMapping:
     """Converts one ``env.yaml``.
 
-    ``dofs`` are the robot file's joints by name, and ``links`` the names of its links. ``names`` maps the run's names
-    of joints and links to other names in the robot file; ``directory`` is the folder of networks in the asset folder.
-
-    ``user_target`` returns the target of a function of the author, such as ``my_robot.rewards.energy``, or None if its
-    code is unknown. After ``convert``, ``robot`` and ``env`` contain the config, and ``lost`` the names of observation
-    groups that lack a term, and ``networks`` the file names of actuator networks.
+    ``dofs`` and ``links`` are those of the robot file, to which ``names`` maps the run's names; ``directory`` is the
+    folder of networks in the asset folder. ``user_target`` returns the target of a function of the author, such as
+    ``my_robot.rewards.energy``, or None if its code is unknown. ``convert`` sets ``robot``, ``env``, ``lost``, the
+    names of observation groups that lack a term, and ``networks``, the file names of actuator networks.
     """
 
     def __init__(
@@ -306,7 +304,6 @@ class EnvMapping:
         return kind
 
     def _require_joints(self, expressions: Iterable[str]) -> None:
-        """Raise ConfigError if an expression matches no joint of the robot file."""
         unknown = [text for text in expressions if self._dofs and not _matching([text], self._dofs)]
         if unknown:
             message = f"the robot file has no joint {', '.join(unknown[:5])}"
@@ -453,8 +450,7 @@ def _spawn(node: object) -> Mapping[str, object]:
 class _Names:
     """The run's names of joints and links whose names in the robot file differ.
 
-    For example, with the table ``{q1: l01}``, ``joint_names: [q.*]`` becomes ``[l01, q.*]`` if the robot file has other
-    joints that match ``q.*``, and otherwise ``[l01]``.
+    With ``{q1: l01}``, ``[q.*]`` becomes ``[l01, q.*]`` if other joints match ``q.*``, and otherwise ``[l01]``.
     """
 
     def __init__(self, table: Mapping[str, str], joints: Iterable[str], links: Iterable[str]) -> None:

@@ -147,7 +147,6 @@ def _convert(
 
 
 def _write_project(draft: Path, robot: str, mapping: EnvMapping, agent: Tree, author: AuthorTerms) -> Tree:
-    """Write the files of the project, and return its task. ``robot`` is the name of the robot file."""
     name = draft.name
     finite = {"_target_": "wheelleg_exp.mdp.terminations.non_finite_state"}
     mapping.env["terminations"].setdefault("non_finite_state", finite)

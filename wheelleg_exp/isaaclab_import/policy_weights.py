@@ -1,7 +1,6 @@
 """Read the networks of a policy from a checkpoint of rsl_rl, a TorchScript file, or an ONNX file, without running it.
 
-Only multilayer perceptrons are read: linear layers with one activation between them, and an optional normalization of
-the observation. Isaac Lab writes such policies for its locomotion tasks.
+Only multilayer perceptrons are read: linear layers with one activation between them, and optional normalization.
 """
 
 from __future__ import annotations
@@ -168,7 +167,6 @@ class _TensorsOnly(pickle._Unpickler):  # pickle.Unpickler allocates as much mem
         return known[name]
 
     def persistent_load(self, pid: tuple[str, torch.dtype, str]) -> torch.Tensor:
-        """Return the numbers that belong to a tensor."""
         data = self._archive.read(f"{self._root}/data/{pid[2]}")
         return torch.frombuffer(bytearray(data), dtype=pid[1]) if data else torch.empty(0, dtype=pid[1])
 

@@ -26,10 +26,7 @@ UserTarget = Callable[[str, Iterable[str]], str | None]
 
 
 class TermMapping:
-    """Converts terms. ``env`` is the config with the time steps, and ``robot_name`` the robot's name in the run.
-
-    ``lost`` contains the names of observation groups that lack a term.
-    """
+    """Converts terms of the run's robot ``robot_name``; ``lost`` are the observation groups that lack a term."""
 
     def __init__(self, env: Tree, robot_name: str, user_target: UserTarget, report: ImportReport) -> None:
         self._env, self._robot_name, self._user_target, self._report = env, robot_name, user_target, report

@@ -1,7 +1,4 @@
-"""Action terms: the targets that a policy's output sets.
-
-A term multiplies its raw action by a scale, adds an offset, and clips the sum; ``delay`` counts physics steps.
-"""
+"""Action terms: the targets that a policy's output sets, scaled, offset, and clipped; ``delay`` is in physics steps."""
 
 from __future__ import annotations
 

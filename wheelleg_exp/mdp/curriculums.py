@@ -196,10 +196,9 @@ def _range_errors(command_name: str, ranges: Mapping[str, Sequence[float]], limi
 class command_range_levels(TermBase):
     """Widen the ranges of a command whenever the robots track the command well; return the upper bounds of the ranges.
 
-    Once per full episode length, the tracking ratio is the mean tracking reward of the ended episodes, divided by that
-    of a full-length episode with perfect tracking. If it exceeds ``threshold``, each range in ``limit_ranges`` grows by
-    ``step`` on both sides, up to its limit. Not in Isaac Lab; some projects call it ``lin_vel_cmd_levels`` or
-    ``ang_vel_cmd_levels``.
+    Once per full episode length, the mean tracking reward of the ended episodes is divided by that of perfect tracking
+    over a full episode. If this ratio exceeds ``threshold``, each range in ``limit_ranges`` grows by ``step`` on both
+    sides, up to its limit. Not in Isaac Lab; some projects call it ``lin_vel_cmd_levels``.
 
     Args:
         reward_term_name: the tracking reward, at most 1 before its weight.

@@ -80,8 +80,7 @@ class NoiseModelWithAdditiveBias(Stateful):
 
     Args:
         noise_cfg: the noise of every step.
-        bias_noise_cfg: distribution of the bias; its operation must be ``abs``, so that biases do not accumulate over
-            resets.
+        bias_noise_cfg: distribution of the bias; its operation must be ``abs``, so that biases do not accumulate.
         sample_bias_per_component: draw one bias for each component, else one for all components of an environment.
     """
 

@@ -211,8 +211,7 @@ def image(
         sensor_cfg: the camera.
         data_type: kind of the image: ``rgb``, ``depth``, ``distance_to_camera``, ...
         convert_perspective_to_orthogonal: convert ``distance_to_camera`` to distances along the camera's axis.
-        normalize: scale colours to [0, 1] and subtract the mean of each channel; replace infinite distances, m, by 0;
-            scale normals to [0, 1].
+        normalize: scale colours to [0, 1] minus the channel's mean, infinite distances (m) to 0, and normals to [0, 1].
     """
     data = env.scene[sensor_cfg.name].data
     if data_type not in data.output:

@@ -20,9 +20,8 @@ class InitialStateRecorder(RecorderTerm):
 class PostStepStatesRecorder(RecorderTerm):
     """Record the robot's state at the end of each control step, before resets, with the key ``states``.
 
-    Below ``articulation/<name>`` are ``root_pose`` (m, relative to the environment's origin, and (w, x, y, z)),
-    ``root_velocity`` (of the centre of mass, world axes, m/s and rad/s), and ``joint_position`` and ``joint_velocity``
-    (rad, rad/s).
+    Below ``articulation/<name>``: ``root_pose`` (m from the environment's origin; w, x, y, z), ``root_velocity`` (of
+    the centre of mass, world axes, m/s and rad/s), and ``joint_position`` and ``joint_velocity`` (rad, rad/s).
     """
 
     reads_observations = False

@@ -1,7 +1,4 @@
-"""Reward terms, which return one value per environment, (N,), without the factors weight and time step.
-
-The formulas are those of Isaac Lab, unless a docstring names a difference.
-"""
+"""Reward terms: one value per environment, (N,), before weight and time step; formulas as in Isaac Lab unless noted."""
 
 from __future__ import annotations
 
@@ -132,8 +129,7 @@ def standing_exp(
 ) -> torch.Tensor:
     """exp(-(h - target)^2 / height_std^2 - s^2 / tilt_std^2); 0 upside down. Not in Isaac Lab.
 
-    h is the root link's height above the ground, m, and s the sine of the tilt. The product pays only if both are
-    right.
+    h is the root link's height above the ground, m, s the sine of the tilt. The product pays only a robot that stands.
     """
     height = base_height_exp(env, target_height, height_std, asset_cfg)
     upright = env.scene.articulations[asset_cfg.name].data.projected_gravity_b[:, 2] < 0.0
@@ -141,10 +137,7 @@ def standing_exp(
 
 
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the norms of the linear accelerations of the selected bodies, m/s^2.
-
-    Isaac Lab calls it ``body_lin_acc_l2``, although the norms are not squared.
-    """
+    """Sum of the norms of the bodies' linear accelerations, m/s^2: ``body_lin_acc_l2`` in Isaac Lab, not squared."""
     acceleration = picked(env.scene.articulations[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return _length(acceleration).sum(dim=1)
 
@@ -205,8 +198,7 @@ def track_base_height_exp(
 class jump_clearance(TermBase):
     """Rate at which the largest clearance of the lower wheel grows within a jump, m/s. Not in Isaac Lab.
 
-    Over a jump, the reward sums to the largest clearance, at most ``target``; it is 0 outside the window of the
-    ``JumpCommand`` ``command_name``.
+    Over a jump, it sums to the largest clearance, at most ``target``. The command must be a ``JumpCommand``.
 
     Args:
         rest: height of the wheels' links while the robot stands: the radius of the wheels, m.
@@ -236,8 +228,7 @@ class jump_clearance(TermBase):
 class jump_apex(jump_clearance):
     """Like ``jump_clearance``, for the apex that the base would reach without further forces. Not in Isaac Lab.
 
-    The apex is h + v²/2g for a height h above the ground and an upward velocity v. It rises while the legs push, so the
-    reward leads to a first jump.
+    The apex is h + v²/2g for a height h above the ground and an upward velocity v: it rises while the legs push.
 
     Args:
         rest: height of the base while the robot stands, m.
@@ -417,10 +408,7 @@ def no_contact_count(env: Env, threshold: NonNegative, sensor_cfg: SceneEntityCf
 
 
 def no_desired_contact(env: Env, sensor_cfg: SceneEntityCfg, threshold: NonNegative = 1.0) -> torch.Tensor:
-    """1 where no body's contact force exceeded ``threshold`` (N) within the sensor's history.
-
-    Isaac Lab calls it ``desired_contacts``, although 1 means that no body has contact.
-    """
+    """1 if no contact force in the history exceeded ``threshold`` (N). Isaac Lab's name is ``desired_contacts``."""
     force = picked(env.scene.contact_sensor(sensor_cfg.name).max_force_norm(), sensor_cfg.body_ids)
     return (~(force > threshold).any(dim=1)).float()
 
@@ -497,10 +485,7 @@ def feet_stumble(env: Env, sensor_cfg: SceneEntityCfg, ratio: Positive = 4.0) ->
 
 
 def feet_clearance_l2(env: Env, clearance: Positive, asset_cfg: SceneEntityCfg) -> torch.Tensor:
-    """Sum over feet of (h - clearance)^2 times the horizontal speed, m^3/s: moving feet should be lifted.
-
-    Not in Isaac Lab. h is the link's height above the ground straight below, m.
-    """
+    """Sum over feet of (h - clearance)^2 times horizontal speed, m^3/s, h above the ground, m. Not in Isaac Lab."""
     data, ids = env.scene.articulations[asset_cfg.name].data, asset_cfg.body_ids
     error = height_over_ground(env, picked(data.body_pos_w, ids)) - clearance
     return (error.square() * _speed(data.body_lin_vel_w[:, ids])).sum(dim=1)

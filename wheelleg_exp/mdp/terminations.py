@@ -49,7 +49,7 @@ def root_height_over_ground_below_minimum(
 def terrain_out_of_bounds(
     env: Env, asset_cfg: SceneEntityCfg = _ROBOT, distance_buffer: NonNegative = 3.0
 ) -> torch.Tensor:
-    """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of all tiles."""
+    """End the episode if the root link is less than ``distance_buffer`` (m) from the outer edge of a tiled ground."""
     terrain, position = env.scene.terrain, env.scene.articulations[asset_cfg.name].data.root_pos_w
     if terrain.terrain_origins is None:
         return torch.zeros_like(position[:, 0], dtype=torch.bool)

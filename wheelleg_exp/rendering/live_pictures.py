@@ -21,10 +21,7 @@ _SAMPLES = 4
 
 
 class LivePictures:
-    """Draws a compiled MuJoCo scene at given joint positions; the camera follows the body ``root`` at a fixed distance.
-
-    A child process draws the pictures; it starts with the first picture, and ``close`` stops it.
-    """
+    """Draws a compiled MuJoCo scene in a child process, until ``close``; the camera follows the body ``root``."""
 
     def __init__(self, model: mujoco.MjModel, root: str, width: int, height: int) -> None:
         self._model, self._root = model, int(model.body(root).id)

@@ -1,7 +1,4 @@
-"""A scene to draw, as plain arrays: shapes, moving bodies, the ground, and the camera's place.
-
-The scene's camera follows the robot at a fixed angle, and its distance lets the robot fill the picture.
-"""
+"""A scene to draw, as plain arrays: shapes, moving bodies, the ground, and a camera that follows the robot."""
 
 from __future__ import annotations
 

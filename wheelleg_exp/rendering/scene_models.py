@@ -1,8 +1,4 @@
-"""Convert between compiled MuJoCo models and scenes (shapes to draw).
-
-A scene consists of the visible geoms of a compiled MuJoCo model. In the MuJoCo model of a scene, each body is a mocap
-body, the floor is checkered, and a light follows the robot.
-"""
+"""Convert between compiled MuJoCo models and scenes, which contain the visible geoms of a model."""
 
 from __future__ import annotations
 
@@ -32,10 +28,7 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the drawable scene of a compiled MuJoCo model: all its bodies except the world, in the model's order.
-
-    The camera of the scene follows the body ``root``; ``size`` is the height of the robot, m.
-    """
+    """Return the scene of a compiled MuJoCo model: all bodies except the world, in order; ``size`` is its height, m."""
     bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
     planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
     ground = Ground(float(model.geom_pos[planes[0], 2]), size / _TILES_PER_HEIGHT) if planes else None

@@ -32,9 +32,8 @@ def write(
 ) -> str:
     """Write pictures (height, width, 3) as a video file, atomically, and return the name of the codec.
 
-    The video file ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is the width and height of the pictures, px,
-    two even numbers. ``progress`` receives the number of written pictures. WheellegError means that the video file
-    cannot be written or that PyAV has no suitable encoder.
+    ``path`` (.mp4, .mkv or .mov) must not exist; ``size`` are two even numbers, px. Raise WheellegError if the file
+    cannot be written or PyAV has no suitable encoder.
     """
     import av
 

@@ -233,10 +233,9 @@ def noise_findings(log: RobotLog, columns: Sequence[str]) -> Iterator[LogFinding
 def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[float, str]:
     """Return the largest difference of the policy's targets from the sent targets, and its column.
 
-    The difference of a column is the RMS of its errors, divided by its standard deviation. ``true`` (T, C) replaces the
-    log's readings of joints and IMU. In each row, the policy observes the last action that was sent, not its own: a
-    policy amplifies rounding errors that it observes as its last action. Rows with a held reading or a missed step only
-    continue the policy's memory.
+    A column's difference is the RMS of its errors divided by its standard deviation. ``true`` (T, C) replaces the log's
+    readings of joints and IMU. The policy observes the last action that was sent, because it amplifies rounding errors
+    of its own. Rows with a held reading or a missed step only continue the policy's memory.
     """
     spec, channel_ids = policy.spec, {name: i for i, name in enumerate(channels(policy.spec["joint_names"]))}
     tables = {}
@@ -281,8 +280,7 @@ def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[flo
 def _sent_action(policy: Policy, sent: Numbers) -> np.ndarray:
     """Return the last action (A,) that the targets ``sent`` (3, J) show.
 
-    The policy's own action is returned where it differs only by rounding, and where it differs much: targets do not
-    show an action that was clipped to a limit.
+    It is the policy's own where that differs only by rounding, or much, since clipped actions do not show in targets.
     """
     action: np.ndarray = policy.action.copy()
     for term in policy.spec["actions"]:
@@ -385,7 +383,6 @@ class _Search:
         return LogFinding(fault.kind, fault.columns, texts[0], evidence, texts[1], fault.value or None)
 
     def report(self, findings: list[LogFinding], difference: float) -> LogReport:
-        """Return the report, with the predicted readings of all windows before and after the correction."""
         none = Sensing.identity(1, len(self.columns), self.accepted.gain.shape[1])
         rows = (self.starts[:, None] + np.arange(1, self.simulation.length + 1)).ravel()
         logged = self.log.table(self.columns)[rows]

@@ -28,9 +28,8 @@ _SI = {"joint_pos": "rad", "joint_vel": "rad/s", "base_ang_vel": "rad/s", "proje
 class Fault:
     """One possible fault: its kind, such as ``sign``, the log's columns, what is wrong, and what to change.
 
-    ``model`` returns the sensing model of a fault for a number ``value``, such as a scale. ``is_fitted`` is true if
-    ``value`` is fitted to the log; ``{value}`` in the texts stands for this number. ``value`` of a faultless log is
-    ``neutral``, and a value within ``least`` of ``neutral`` is not a fault.
+    ``model`` returns the sensing model for a ``value``, such as a scale, which is fitted to the log if ``is_fitted``;
+    ``{value}`` in the texts stands for it. A value within ``least`` of ``neutral`` is not a fault.
     """
 
     kind: str
@@ -85,8 +84,7 @@ def possible_faults(
 ) -> Iterator[Fault]:
     """Yield the faults that are tried on the log of a robot.
 
-    ``rolling`` are joints whose encoders count from the start, so that an offset has no meaning. ``groups`` are the
-    joints of each actuator group.
+    The encoders of ``rolling`` joints count from the start, so they have no offset. ``groups`` are the actuator groups.
     """
     make, imu = _Maker(joint_names), {name: [f"{name}.{axis}" for axis in "xyz"] for name in _UNITS}
     joints = {reading: [f"{reading}.{name}" for name in joint_names] for reading in ("joint_pos", "joint_vel")}

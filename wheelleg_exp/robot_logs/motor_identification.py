@@ -1,22 +1,21 @@
 """Identify the motors of a robot from a log of chirps, and write a robot profile with them.
 
-The robot's base is fixed in the simulation, and the drives follow the log's targets. For each driven joint, a
-least-squares fit (scipy's trust region) finds seven parameters: armature, Coulomb friction, viscous friction, gain (a
-factor on stiffness and damping), delay of the targets, effort scale (logged effort / torque of the motor), and latency
-of the feedback. The residuals are errors of positions, speeds, and efforts, divided by the noise of their column. All
-joints are fitted together, because gravity and the reactions between links separate a motor's torque from its inertia.
+The base is fixed, and the drives follow the log's targets. For each driven joint, a least-squares fit (scipy's trust
+region) finds seven parameters: armature, Coulomb friction, viscous friction, gain (a factor on stiffness and damping),
+delay of the targets, effort scale (logged effort / torque of the motor), and latency of the feedback. The residuals are
+errors of positions, speeds, and efforts, divided by the noise of their column. All joints are fitted together, because
+gravity and reactions between links separate a motor's torque from its inertia.
 
-One physics step (semi-implicit Euler) is one period h of the drives, whose torques are explicit: a training's longer,
-implicit step needs wrong gains and frictions to repeat a log. A joint that moves continuously under torques that are
-constant for h equals this joint with damping kd - kp L and positions q - L q' for the latency L = h/2.
+One physics step (semi-implicit Euler) is one period h of the drives, with explicit torques: with a training's longer,
+implicit step, gains and frictions would be wrong. A joint that moves continuously under torques that are constant for h
+equals this joint with damping kd - kp L and positions q - L q' for the latency L = h/2.
 
-The state at the start of each chirp is measured with noise too. At the end, a Gauss-Newton step treats the errors of
-the start states as further unknowns with the deviation of their noise, and eliminates them: from the residuals r (n,)
-and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and S (SᵀS + P)⁻¹ Sᵀ J, with the Jacobian S
-for the start states and their inverse variances P. The result is r* and J*. The 95 % confidence intervals come from the
-larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and s² = rᵀr / (n - p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the
-sums g of J* r* over each 0.25 s of a chirp. The half width is multiplied by the joint's error / noise if this is above
-1, because the error of a model is systematic.
+The start state of each chirp is measured with noise. A last Gauss-Newton step eliminates its errors as further
+unknowns: from the residuals r (n,) and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and S (SᵀS
++ P)⁻¹ Sᵀ J, with the Jacobian S for the start states and their inverse variances P. The result is r* and J*. The 95 %
+confidence intervals come from the larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and s² = rᵀr / (n
+- p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the sums g of J* r* over each 0.25 s of a chirp. Above 1, the joint's error / noise
+multiplies the half width, because the error of a model is systematic.
 """
 
 from __future__ import annotations
@@ -78,10 +77,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Identified:
-    """The identified parameters, and the prediction error (RMS of errors / noise) on pieces of the log.
-
-    ``fitted`` and ``held_out`` contain the errors with the parameters of the config and with the identified parameters.
-    """
+    """The identified parameters, and prediction errors (RMS of errors / noise) with the config's and with these."""
 
     parameters: list[Parameter]
     fitted: tuple[float, float]
@@ -115,8 +111,7 @@ def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: floa
 class ChirpSimulation:
     """N simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log.
 
-    Each drive is a PD controller that computes its torque at ``rate`` (Hz, rounded to a multiple of the control rate),
-    which is also the rate of the physics steps.
+    Each drive is a PD controller at ``rate``, Hz, rounded to a multiple of the control rate. So are the physics steps.
     """
 
     def __init__(

@@ -147,10 +147,7 @@ def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Numbers:
 
 
 def _parquet_table(path: Path) -> tuple[pa.Table, bool]:
-    """Return a Parquet file's table, and whether all columns have checksums.
-
-    The footer, which describes the columns, has no checksum: compare the facts that it states twice.
-    """
+    """Return a Parquet file's table, and whether all columns have checksums. Raise LogError if it is damaged."""
     with parquet.ParquetFile(path, page_checksum_verification=True) as file:
         facts, schema = file.metadata, file.schema
         if facts.num_rows * facts.num_columns > _MOST_NUMBERS:  # A small file can repeat a number any number of times.

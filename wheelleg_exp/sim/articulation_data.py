@@ -468,10 +468,7 @@ class ArticulationData(Stateful):
 
     @cached_until_change
     def body_com_acc_w(self) -> torch.Tensor:
-        """Linear and angular accelerations of the bodies' centres of mass, m/s^2 and rad/s^2, (N, B, 6); 0 at rest.
-
-        Computed from the velocities before and after the last physics step; 0 after a reset or a write of velocities.
-        """
+        """Finite-difference accelerations of the bodies' CoM, m/s^2, rad/s^2, (N, B, 6); 0 after a reset or a write."""
         if self._vel_before is None:
             # At the first read of accelerations, the bodies' velocities before the last physics step are unknown.
             # Compute the bodies' old velocities from the qpos and qvel before the last physics step.

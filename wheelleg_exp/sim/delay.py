@@ -21,8 +21,7 @@ class DelayBuffer(Stateful):
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).
-        share: share of the range ``lags`` and of ``jitter`` that each environment uses, from 0 to 1, (N,). A CUDA graph
-            reads this tensor, so change its values in place.
+        share: share of ``lags`` and ``jitter`` that each environment uses, (N,). CUDA graphs read it: write in place.
     """
 
     def __init__(

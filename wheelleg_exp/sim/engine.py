@@ -28,8 +28,7 @@ class Engine(Stateful, ABC):
         state: the numbers that determine the next step, one row per simulation, (N, k).
         nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
-        asked: names of the model fields, and ``WRENCHES``, that terms have obtained and may have changed; the event
-            manager clears it after each event term.
+        asked: model fields and ``WRENCHES`` that terms have obtained; the event manager clears it after each term.
     """
 
     name: ClassVar[str]

@@ -105,10 +105,7 @@ _MOST_WAYS = 2e7  # Python tries them in about a second.
 
 
 def compiled(pattern: str, names: Iterable[str], key: str | None = None) -> re.Pattern[str]:
-    """Compile a regular expression that is matched against ``names``.
-
-    Raise ConfigError if it is invalid, or if Python could try too many ways to match the longest name.
-    """
+    """Compile a regular expression; raise ConfigError if it is invalid, or too slow to match the longest name."""
     try:
         found = re.compile(pattern)
         ways = _ways(_parser.parse(pattern), max(map(len, names), default=0))

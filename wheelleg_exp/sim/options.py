@@ -184,8 +184,7 @@ class RobotOptions:
         friction_combine_mode: how the coefficients of robot and ground combine; Isaac Lab's locomotion tasks multiply.
         actuators: the nodes of the actuator groups by name.
         self_collisions: whether the robot's own bodies collide; null uses the asset's setting.
-        root_frame: orientation of the root link's frame relative to the file's, (w, x, y, z), for a file without x
-            forwards and z upwards; null uses the file's frame.
+        root_frame: orientation of the root's frame in the file's, (w, x, y, z), for x forwards and z upwards; or null.
         standing_height: height of the root link above the ground in the default pose, m.
         wheel_radius: radius of the wheels, m.
         joint_sets: joint expressions by role. Terms refer to them, for example by ``${env.robot.joint_sets.legs}``.

@@ -234,8 +234,7 @@ class Scene(Stateful):
     def diagnostics(self, ids: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return log entries, by name, about joints and sensors in the environments whose episodes end now.
 
-        ``joint_over_speed`` is the share of ``ids`` with a joint beyond its velocity limit, which PhysX would enforce;
-        ``<sensor>_...`` are entries of a sensor.
+        ``joint_over_speed`` is the share with a joint beyond its velocity limit, which PhysX would have enforced.
         """
         data = self.robot.data
         speed, limit = data.joint_vel.index_select(0, ids).abs(), data.soft_joint_vel_limits.index_select(0, ids)

@@ -104,9 +104,8 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    Physics steps agree with MuJoCo's to single precision. Runs are bit-reproducible on the CPU, but not on a GPU, where
-    the order of contacts and sums varies. Raise ConfigError if a package or device is missing, or if mujoco-warp does
-    not support the model.
+    It agrees with MuJoCo to single precision. Runs are bit-reproducible on the CPU, but not on a GPU, where the order
+    of contacts and sums varies. Raise ConfigError if a package or device is missing, or the model is not supported.
     """
 
     name = "warp"

@@ -108,9 +108,8 @@ def _comparisons(model: mujoco.MjModel, robot: RobotDescription) -> Iterator[tup
 def with_model_values(robot: RobotDescription) -> RobotDescription:
     """Return the robot with each gain ``k`` of an acceleration drive multiplied by the joint's inertia.
 
-    ``I`` is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: the inertia that the drive accelerates while
-    all other joints are free to move. The saved positions and velocities of joints that follow other joints become
-    those that their drivers require.
+    This is 1/(M⁻¹)ᵢᵢ of the mass matrix with all coordinates at zero: all other joints are free to move. The saved
+    positions and velocities of joints that follow other joints become those that their drivers require.
     """
     if not robot.couplings and not any(dof.drive and dof.drive.acceleration for dof in robot.dofs):
         return robot

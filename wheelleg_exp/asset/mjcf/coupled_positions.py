@@ -21,10 +21,9 @@ _SAMPLES = 10001  # positions of a driver, among which its limits are found
 class JointCouplings:
     """The active joint equalities of a model: q - ref = c0 + c1·r + c2·r² + c3·r³ + c4·r⁴, with r = driver - its ref.
 
-    ``columns`` maps joint ids to columns in arrays of joint positions; by default, the columns are those of qpos. Each
-    of ``rows`` contains the columns of a follower and of its driver, their ref, rad (m), and the coefficients c0 to c4,
-    from the first to the last follower of a chain. ``limits`` maps the column of a driver to the range around its ref,
-    rad (m), in which all of its followers are inside their own limits.
+    ``columns`` maps joint ids to columns of position arrays, by default those of qpos. Each of ``rows`` contains the
+    columns of a follower and its driver, their ref, rad (m), and c0 to c4, in the order of a chain. ``limits`` maps a
+    driver's column to the range around its ref, rad (m), in which all followers are inside their own limits.
     """
 
     def __init__(self, model: mujoco.MjModel, columns: Mapping[int, int] | None = None) -> None:

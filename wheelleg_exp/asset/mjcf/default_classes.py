@@ -1,10 +1,8 @@
 """Collect shared attributes of MJCF elements into default classes, so that each number appears once in the MJCF.
 
-The default class with the robot's name has the attributes that all MJCF elements of one type share. Child default
-classes have attributes that only some elements share. A child class is named ``wheel`` or ``leg`` after the role of its
-elements, else by the words that their names share: joints ``FL_hip`` and ``FR_hip`` get the class ``hip``. A joint has
-the role ``wheel`` if it is the last hinge of a limb, has no limits, and moves a round shape. Joints between the trunk
-and a wheel have the role ``leg``. In a robot without wheels, no joint has the role ``wheel`` or ``leg``.
+The robot's class has the attributes that all elements of one type share, and child classes have those of some. A child
+is named after the role ``wheel`` or ``leg``, or after words that its elements' names share: ``hip`` for ``FL_hip`` and
+``FR_hip``. A wheel is the last hinge of a limb, without limits, and moves a round shape; joints above it are legs.
 """
 
 from __future__ import annotations

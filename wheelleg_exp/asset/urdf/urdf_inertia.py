@@ -1,8 +1,7 @@
 """Mass properties of URDF links.
 
-A link without mass, or without ``<inertial>``, is a frame on the link that it is welded to: ROS uses massless links to
-place shapes and to name frames. If a moving group of welded links has no mass at all, its mass is computed from the
-volume of its colliders.
+A link without mass is a frame on the link that it is welded to: ROS uses such links to place shapes and to name frames.
+If a moving group of welded links has no mass at all, its mass comes from the volume of its colliders.
 """
 
 from __future__ import annotations
@@ -64,7 +63,6 @@ def _enough(part: geometry.Part) -> bool:
 
 
 def _part(document: Document, link: Link, seen: Seen, colliders: list[Shape]) -> geometry.Part:
-    """Return a link's mass, centre of mass, and inertia tensor, in the link's frame."""
     center, tensor = seen.inertia_frame.translation, _tensor(document, link, seen.mass)
     if seen.mass > 0 and tensor is not None:
         turn = seen.inertia_frame.rotation

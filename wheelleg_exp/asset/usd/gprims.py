@@ -25,8 +25,7 @@ _SEGMENTS = 32  # polygon sides
 class Shape:
     """A shape of a body, with MuJoCo's geom type and size (m); a mesh has points (n, 3) and triangles (k, 3).
 
-    ``weight`` is the kind, size, and frame in the shape's frame of the solid from which PhysX computes the mass; None
-    means the shape itself.
+    ``weight`` is the kind, size, and frame (in the shape's) of PhysX's solid for the mass; None means the shape itself.
     """
 
     kind: ShapeKind

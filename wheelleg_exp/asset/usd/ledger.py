@@ -1,8 +1,7 @@
 """Read USD attributes as plain Python values, check the values, and record the MJCF part made from each attribute.
 
-An attribute in a USD file can have a value of any type and size. Text in place of a number, NaN, and implausibly large
-numbers raise an error that names the prim and the attribute. In USD, a mass of 0 or an infinite limit means "not
-given", and raises no error.
+A USD attribute can have any type and size. Text in place of a number, NaN, and implausibly large numbers raise an error
+with prim and attribute; a mass of 0 or an infinite limit means "not given".
 """
 
 from __future__ import annotations

@@ -125,7 +125,6 @@ def read_actuators(stage: Stage, targets: Targets, ranged: set[str]) -> Iterator
 
 
 def _actuator(stage: Stage, prim: Usd.Prim, name: str, targets: Targets, ranged: set[str]) -> desc.Actuator | str:
-    """Return an actuator, or the reason why it is left out."""
     paths = [str(path) for path in stage.ledger.targets(prim, "mjc:target", f"actuator {name}")]
     if not paths or paths[0] not in targets:
         return "its target is not in the model"

@@ -1,7 +1,4 @@
-"""Make the MuJoCo geoms of each body, store each mesh once, and find the pairs of bodies that never touch.
-
-USD's collision filters (joints, filtered pairs, collision groups) become MJCF ``exclude`` elements or collision bits.
-"""
+"""Make the MuJoCo geoms of each body, store each mesh once, and find the pairs of bodies that never touch."""
 
 from __future__ import annotations
 
@@ -156,8 +153,7 @@ def read_filters(
 ) -> tuple[tuple[tuple[str, str], ...], Mapping[str, Extra]]:
     """Return the pairs of bodies that never touch, and collision bits of geoms by the shape's prim path.
 
-    Two bodies with a common joint touch only if the joint allows it. ``quiet`` are sets of bodies, by path, that do not
-    touch each other; None: no two bodies touch.
+    A common joint decides whether two bodies touch. Those in one set of ``quiet`` never do; None means all bodies.
     """
     solid = {piece.path: piece for piece in pieces if piece.collides}
     rules = _Rules()

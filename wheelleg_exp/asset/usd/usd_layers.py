@@ -2,10 +2,9 @@
 
 The USD library opens every file that a layer names, and would wait forever for data from a named pipe.
 
-The converter reports and skips missing textures, material libraries, and layers with only visuals. A missing physics
-layer is an error, because bodies, joints, and colliders would vanish silently. The prims that refer to a missing layer,
-not the layer's name, show whether the layer contained physics, because mesh files often contain both visuals and
-colliders.
+Missing textures, material libraries, and layers with only visuals are reported. A missing physics layer is an error,
+because bodies, joints, and colliders would vanish silently. The prims that refer to a layer, not its name, show whether
+it contained physics: mesh files often contain both visuals and colliders.
 """
 
 from __future__ import annotations

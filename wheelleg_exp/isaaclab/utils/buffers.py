@@ -12,10 +12,7 @@ Ids = Sequence[int] | torch.Tensor | None
 
 
 class CircularBuffer(Stateful):
-    """The last ``max_len`` samples of each of N = ``batch_size`` environments.
-
-    The first sample after a reset also fills the places of all older samples of its environment.
-    """
+    """The last ``max_len`` samples of N environments; the first sample after a reset also fills all older places."""
 
     def __init__(self, max_len: int, batch_size: int, device: torch.device | str) -> None:
         if max_len < 1:
@@ -73,10 +70,7 @@ class CircularBuffer(Stateful):
 
 
 class DelayBuffer(Stateful):
-    """A buffer that returns delayed samples of N = ``batch_size`` environments.
-
-    Each environment has its own delay, at first 0, and at most ``history_length`` calls of ``compute``.
-    """
+    """Returns samples with a delay of 0 to ``history_length`` calls of ``compute`` in each environment, at first 0."""
 
     def __init__(self, history_length: int, batch_size: int, device: torch.device | str) -> None:
         self.history_length, self.batch_size, self.device = max(0, history_length), batch_size, device

@@ -1,8 +1,7 @@
 """Functions for rotations, frames, cameras, and random numbers, with the names of ``isaaclab.utils.math``.
 
-Quaternions are (w, x, y, z), angles are radians. Tensor arguments can have any leading dimensions, which are broadcast.
-Random functions use torch's global generator, which draws from a user-defined term's random stream while the term runs.
-TorchScript can compile the functions that Isaac Lab compiles.
+Quaternions are (w, x, y, z), angles are radians, and leading dimensions are broadcast. Random functions use torch's
+global generator, a user-defined term's random stream while it runs. TorchScript can compile what Isaac Lab compiles.
 """
 
 from __future__ import annotations
@@ -314,8 +313,7 @@ def create_rotation_matrix_from_view(
 def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tensor) -> torch.Tensor:
     """Convert distances along pixels' rays to distances along the camera's axis, m.
 
-    ``depth`` has the shape (H, W), (H, W, 1), (N, H, W), or (N, H, W, 1). The matrix ``intrinsics``, in pixels, has the
-    shape (3, 3) or (N, 3, 3).
+    ``depth`` is (H, W), (H, W, 1), (N, H, W), or (N, H, W, 1); ``intrinsics``, px, is (3, 3) or (N, 3, 3).
     """
     pictures = _pictures(depth)
     matrices = intrinsics.reshape(-1, 3, 3)
@@ -328,8 +326,7 @@ def orthogonalize_perspective_depth(depth: torch.Tensor, intrinsics: torch.Tenso
 def unproject_depth(depth: torch.Tensor, intrinsics: torch.Tensor, is_ortho: bool = True) -> torch.Tensor:
     """Return the points (P, 3) or (N, P, 3) of pixels, m, column by column, in axes x right, y down, z forward.
 
-    Shapes are as in ``orthogonalize_perspective_depth``. With ``is_ortho``, the given distances are along the camera's
-    axis, not along the rays of the pixels.
+    Shapes as in ``orthogonalize_perspective_depth``. ``is_ortho`` means distances along the axis, not along the rays.
     """
     pictures = _pictures(depth if is_ortho else orthogonalize_perspective_depth(depth, intrinsics))
     v, u = _pixels(pictures)

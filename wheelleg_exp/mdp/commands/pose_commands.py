@@ -33,8 +33,7 @@ class UniformPose2dCommand(RangedCommand):
 
     Args:
         ranges: ``pos_x`` and ``pos_y``, relative to the environment's origin, m, and ``heading`` in world axes, rad.
-        simple_heading: use the direction to the position, or its opposite, whichever is closer to the present heading;
-            else headings are drawn.
+        simple_heading: face the position, or away from it, whichever needs the smaller turn; else headings are drawn.
     """
 
     logs_last_error = True
@@ -144,8 +143,7 @@ class UniformPoseCommand(RangedCommand):
 
     Args:
         body_name: expression of the one body.
-        ranges: ``pos_x``, ``pos_y``, ``pos_z`` (m), ``roll``, ``pitch``, ``yaw`` (rad), with R = Rz(yaw) Ry(pitch)
-            Rx(roll).
+        ranges: ``pos_x``, ``pos_y``, ``pos_z``, m, ``roll``, ``pitch``, ``yaw``, rad; R = Rz(yaw) Ry(pitch) Rx(roll).
         make_quat_unique: choose the quaternion whose w is not negative.
     """
 

@@ -130,8 +130,6 @@ def _is_a_distribution(ranges: Mapping[str, _Three]) -> Iterator[Broken]:
 class NormalVelocityCommand(UniformVelocityCommand):
     """Planar velocity in the base's axes: each component is +N(mean, std) or -N(mean, std) with equal chance, or 0.
 
-    There are no target headings.
-
     Args:
         ranges: ``mean_vel``, ``std_vel`` and ``zero_prob``: means, standard deviations, and probabilities of zero for
             v_x, v_y (m/s) and w_z (rad/s).
@@ -179,8 +177,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
     approaches the drawn target (``asked``) at a limited rate.
 
     Args:
-        wheel_cfg: joints of the wheels. Their rolling directions come from their axes in the model, so mirrored wheels
-            are averaged correctly.
+        wheel_cfg: joints of the wheels; their axes in the model give the rolling directions, also of mirrored wheels.
         wheel_radius: radius of the wheels, m.
         max_travel_error: bound of the integrated distance, m; distance beyond it is forgotten.
         max_heading_error: bound of the integrated angle, rad.

@@ -1,7 +1,6 @@
 """Event terms.
 
-The predefined event terms have the names and the behaviour of Isaac Lab's event terms. An event term whose name in
-Isaac Lab is misleading has a second, explicit name.
+Names and behaviour are Isaac Lab's. A term whose name there is misleading has a second, explicit name.
 
 | module | what it changes |
 |---|---|

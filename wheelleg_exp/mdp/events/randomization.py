@@ -61,10 +61,7 @@ def pair_error(pair: Sequence[float], operation: str, distribution: str, least: 
 
 
 def ranges(**limits: str) -> Callable[..., Iterator[Broken]]:
-    """Return a rule about the ranges of an event, such as low <= high.
-
-    ``limits`` maps the ranges among the parameters to ``least`` of ``pair_error``.
-    """
+    """Return a rule about the ranges of an event; ``limits`` maps parameters to ``least`` of ``pair_error``."""
 
     def rule(operation: Operation, distribution: Distribution, **given: Any) -> Iterator[Broken]:
         for name, least in limits.items():

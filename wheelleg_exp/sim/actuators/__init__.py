@@ -1,7 +1,4 @@
-"""Actuator models, which compute MuJoCo controls from joint targets before each physics step.
-
-Names and parameters follow Isaac Lab. Only ``ImplicitActuator`` leaves its torque to MuJoCo's solver.
-"""
+"""Actuator models, as in Isaac Lab, which compute MuJoCo controls from joint targets before each physics step."""
 
 from wheelleg_exp.sim.actuators.actuator_base import (
     NEEDED,

@@ -118,10 +118,7 @@ class ActuatorBase(Stateful):
         self.connect(shape[0], dt, stream)
 
     def connect(self, num_envs: int, dt: float, stream: Stream) -> None:
-        """Allocate the actuator model's memory for N environments and a physics step ``dt``, s, before the first step.
-
-        ``stream`` returns a random generator for the actuator group; call it only if you need one.
-        """
+        """Allocate memory for N environments and steps of ``dt``, s; call ``stream`` only if you need a generator."""
 
     def begin(self, env_ids: torch.Tensor) -> None:
         """Start the episodes of ``env_ids``: draw the delays of their targets, and reset the model."""

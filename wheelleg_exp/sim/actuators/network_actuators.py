@@ -1,7 +1,4 @@
-"""Learned drives: networks that were trained on measurements of a real drive.
-
-The TorchScript files are in the folder ``NETWORKS`` next to the robot's MJCF file, and are copied into each run.
-"""
+"""Learned drives: networks trained on a real drive's measurements, in ``NETWORKS`` next to the robot's MJCF file."""
 
 from __future__ import annotations
 
@@ -220,9 +217,8 @@ class ActuatorNetMLP(ActuatorNet):
 class ActuatorNetLSTM(ActuatorNet):
     """An LSTM that computes torques from the present joint position errors and speeds (Rudin et al., 2022).
 
-    The network must contain an LSTM named ``lstm`` with ``batch_first=True``. It maps (rows, 1, 2), one row per joint,
-    and the hidden state to torques, N·m, and the new hidden state, which is 0 at the start of an episode. Velocity
-    targets and feed-forward efforts have no effect.
+    An LSTM ``lstm`` with ``batch_first=True`` maps (rows, 1, 2), one row per joint, and a hidden state, at first 0, to
+    torques, N·m, and its new state. Velocity targets and feed-forward efforts have no effect.
 
     The torque limit is that at the joint's present speed. Isaac Lab 2.3.2 always uses the limit of a motor at rest.
     """

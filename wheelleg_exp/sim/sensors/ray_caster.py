@@ -46,8 +46,7 @@ class RayCaster(LazySensor):
     Args:
         body_name: expression of the body.
         pattern: the rays.
-        offset: ``pos``, m, shifts the rays' origins, and ``rot`` (w, x, y, z) rotates the rays' directions, before
-            ``ray_alignment`` applies.
+        offset: ``pos``, m, shifts origins, and ``rot`` (w, x, y, z) rotates directions, before ``ray_alignment``.
         ray_alignment: ``base`` rotates the rays' origins and directions with the body, ``yaw`` rotates only their
             origins by the body's yaw, ``world`` rotates nothing.
         max_distance: longest ray, m.

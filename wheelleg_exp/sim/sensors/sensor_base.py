@@ -64,10 +64,7 @@ class SensorBase(Stateful):
         self.name, self.body_names = name, []
 
     def connect(self, sim: Engine, stream: Callable[[], torch.Generator]) -> None:
-        """Connect the sensor to the running simulations; the scene calls this method once, after compiling the model.
-
-        ``stream`` returns a random generator for the sensor; call it only if the sensor needs one.
-        """
+        """Connect to the running simulations, once; call ``stream`` only if the sensor needs a random generator."""
         del stream
         self._sim = sim
         self._dt = float(sim.model.opt.timestep)
@@ -77,10 +74,7 @@ class SensorBase(Stateful):
         self._is_new = self.buffer("_is_new", is_new, saved=False)
 
     def update(self) -> None:
-        """After a physics step, update the measurements of the environments whose update period has passed.
-
-        As in Isaac Lab, each environment has its own timer, and the first step of an episode is measured.
-        """
+        """After a physics step, measure environments whose update period has passed or whose episode has begun."""
         if self.update_period == 0.0:
             self.measure(None, self._dt)
             return

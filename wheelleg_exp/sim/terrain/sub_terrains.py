@@ -100,16 +100,14 @@ class Grid:
 class SubTerrain:
     """A kind of tile: one YAML node under ``sub_terrains``, from this package or user-defined.
 
-    A subclass returns heights. Each box slows down all environments a little; a height field slows down only robots on
-    the field.
+    A subclass returns heights. Boxes slow down all environments a little, a height field only robots on the field.
 
     Args:
         proportion: relative share of the tiles.
         border_width: width of the flat rim at height 0 inside the tile, m.
         horizontal_scale: edge of a cell, m; null means the generator's.
         flat_patches: the flat patches to find on each tile, by name.
-        boxes: whether heights belong to cells and become boxes with vertical edges, or belong to corners and become a
-            height field with slopes.
+        boxes: whether heights are those of cells, as boxes with vertical edges, or of corners, as a height field.
     """
 
     proportion: NonNegative

@@ -129,9 +129,8 @@ def _below(links: Links, marks: list[Sdf.Path]) -> Iterable[Link]:
 def centre(graph: Graph, part: list[Link]) -> Link:
     """Return the centre of a graph: the body from which the number of joints to the farthest body is smallest.
 
-    As in PhysX, a depth-first search counts the joints, also those that close loops. If several bodies of a graph are
-    equally central, the body with the most joints is the centre; then the body that a depth-first search from the first
-    body by path reaches first.
+    As in PhysX, a depth-first search counts the joints, also those that close loops. Of equally central bodies, that
+    with the most joints wins, then that which the search from the first body by path reaches first.
     """
     first = min(part, key=lambda link: link.path)
     order = {link.path: index for index, (link, _) in enumerate(_by_depth(graph, first))}
@@ -291,10 +290,9 @@ OF_COORDINATES = ("drive:", "state:", "physics:lowerLimit", "physics:upperLimit"
 def build_tree(stage: Stage, links: Links, joints: list[Joint], base: BaseMode) -> Tree:
     """Return the spanning tree of the joints, from each articulation's root outwards.
 
-    A loop without excludeFromArticulation opens at the joint farthest from the root, because the tree grows level by
-    level. If possible, a kinematic loop opens at a joint that a MuJoCo equality can replace.
-
-    The base mode ``floating`` drops joints that fix a root body to the world; ``fixed`` drops the root's free joint.
+    A loop opens at a joint with excludeFromArticulation, else at the joint farthest from the root, because the tree
+    grows level by level; if possible, at a joint that a MuJoCo equality can replace. ``floating`` drops joints that fix
+    a root body to the world; ``fixed`` drops the root's free joint.
     """
     joints = _pinned(stage, _moving(stage, joints))
     _articulate(stage, articulated(stage, Graph(links, joints)))
@@ -388,7 +386,6 @@ class _Builder:
                 self.stage.ledger.warn(f"{joint.path}: closes a loop, so it became an equality, not a joint")
 
     def _grow(self, root: Link, joint: Joint | None) -> None:
-        """Add the body ``root``, and all bodies that joints connect to ``root``, to the robot's body tree."""
         if root.path in self._placed:
             return
         self._place(root, None, joint, 0)

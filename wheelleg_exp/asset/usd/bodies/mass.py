@@ -24,8 +24,7 @@ from wheelleg_exp.errors import AssetError
 def parts_of(stage: Stage, link: Link, pieces: Iterable[Piece]) -> list[Part]:
     """Return the mass, centre of mass, and inertia tensor of each collider of a body, in the body's frame.
 
-    A collider is the prim with CollisionAPI: its MassAPI applies to all shapes below it together. A collider without
-    volume gets no mass.
+    The MassAPI of a prim with CollisionAPI applies to all shapes below it. A collider without volume gets no mass.
     """
     shapes: dict[str, list[tuple[Piece, Solid]]] = {}
     for piece in pieces:
@@ -117,8 +116,7 @@ NOISE = 1e-6  # relative error of a computed moment
 def inertial_of(stage: Stage, link: Link, pieces: Iterable[Piece], welded: bool = False) -> Inertial:
     """Return a body's mass, centre of mass, and principal moments of inertia.
 
-    Colliders with disabled collision also contribute to the body's mass. MuJoCo accepts zero mass only for a ``welded``
-    body, which cannot move relative to its parent.
+    Disabled colliders count, too. Only a ``welded`` body, which cannot move relative to its parent, can have zero mass.
     """
     inside = link.frame.inverse().matrix() @ stage.matrix(link.prim)
     authored, center = _authored_mass(stage, link), _center(stage, link.prim, inside, "inertial pos")

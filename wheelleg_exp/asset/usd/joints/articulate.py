@@ -21,11 +21,9 @@ CLOSE_M, CLOSE_RAD = 1e-5, 1e-4
 def dofs_of(stage: Stage, node: Node, loops: bool = False) -> tuple[Dof, ...]:
     """Return a body's degrees of freedom; joint positions that USD does not store are computed from the body's pose.
 
-    A joint coordinate outside the joint's limits is clamped to the limits. If ``loops`` is true, the joint coordinate 0
-    is not clamped, because moving one joint would break a kinematic loop.
-
-    A joint coordinate in USD is the motion of body1 relative to body0 about +axis. If body0 is the child body, the
-    converter negates the joint's axis, but not its limits, targets, and gains.
+    Coordinates are clamped to the limits; with ``loops``, 0 is not, because moving one joint would break a loop. USD's
+    coordinates are motions of body1 relative to body0 about +axis: if body0 is the child, the converter negates the
+    axis, but not limits, targets, and gains.
     """
     if node.joint is None:
         return ()

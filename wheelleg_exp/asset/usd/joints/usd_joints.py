@@ -165,9 +165,8 @@ def ball_axes(stage: Stage, prim: Usd.Prim) -> list[FreeAxis]:
 def generic_axes(stage: Stage, prim: Usd.Prim) -> tuple[list[FreeAxis], Frame]:
     """Return the free axes of a generic joint, slides before hinges, and the positions of the locked axes.
 
-    A joint's axis is locked at 0 if the axis's low limit is above its high limit. A joint's axis with two equal limits
-    is locked at the value of these limits. Three free rotations become a ball joint, unless one rotation has its own
-    limits, drive, state, or friction.
+    A low limit above the high one locks an axis at 0; equal limits lock it at their value. Three free rotations become
+    a ball joint, unless one of them has its own limits, drive, state, or friction.
     """
     free, offset = [], Frame.identity()
     for token in (*SLIDES, *TURNS):
