@@ -260,7 +260,7 @@ def balanced(moments: Vec3) -> Vec3:
 
 
 def primitive(kind: str, size: tuple[float, ...]) -> Solid:
-    """Return the solid of a primitive (``size`` as in MuJoCo); a cone's tip is at z = ``half``, its base below."""
+    """Return a primitive's solid (``size`` as in MuJoCo); a cone's tip is at z = ``half``, its base at -``half``."""
     center = np.zeros(3)
     if kind in ("box", "sphere", "ellipsoid"):
         a, b, c = size if len(size) == 3 else size * 3

@@ -245,7 +245,7 @@ Part = Body | Dof | Geom | Closure | Coupling | Tendon | Actuator | Keyframe
 class RobotDescription:
     """Everything that a simulator needs to know about a robot. ``bodies`` lists each parent body before its children.
 
-    ``static_*`` belong to the world. ``option``, ``flag``, and ``compiler`` are attributes of these MJCF elements.
+    ``static_geoms`` and ``static_sites`` are in the world. ``option``, ``flag``, and ``compiler`` are MJCF attributes.
     """
 
     name: str

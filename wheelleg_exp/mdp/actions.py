@@ -241,7 +241,7 @@ class JointPositionToLimitsAction(JointTerm):
 class EMAJointPositionToLimitsAction(JointPositionToLimitsAction):
     """A ``JointPositionToLimitsAction`` with smoothed joint targets, ``target = alpha * new + (1 - alpha) * last``.
 
-    It is clamped to the soft limits. In the first step of an episode, ``last`` is the present position.
+    The smoothed targets are clamped to the soft limits. In an episode's first step, ``last`` is the present position.
 
     Args:
         alpha: weight of the newest action, or one by joint expression; 1 for joints that no expression matches.

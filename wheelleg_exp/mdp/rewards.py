@@ -137,7 +137,7 @@ def standing_exp(
 
 
 def body_lin_acc_norm_sum(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
-    """Sum of the norms of the bodies' linear accelerations, m/s^2: ``body_lin_acc_l2`` in Isaac Lab, not squared."""
+    """Sum of the norms, not squared, of the bodies' linear accelerations, m/s^2. Isaac Lab: ``body_lin_acc_l2``."""
     acceleration = picked(env.scene.articulations[asset_cfg.name].data.body_lin_acc_w, asset_cfg.body_ids)
     return _length(acceleration).sum(dim=1)
 
@@ -272,7 +272,7 @@ def joint_torques_l2(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tens
 
 
 def joint_power(env: Env, asset_cfg: SceneEntityCfg = _ROBOT, positive_only: bool = False) -> torch.Tensor:
-    """Sum of joint powers |torque * velocity|, W, with ``positive_only`` without braking joints. Not in Isaac Lab."""
+    """Sum of joint powers |torque * velocity|, W; ``positive_only`` leaves out braking joints. Not in Isaac Lab."""
     data = env.scene.articulations[asset_cfg.name].data
     power = picked(data.applied_torque, asset_cfg.joint_ids) * picked(data.joint_vel, asset_cfg.joint_ids)
     return (power.clamp(min=0.0) if positive_only else power.abs()).sum(dim=1)

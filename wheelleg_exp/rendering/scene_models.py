@@ -28,7 +28,7 @@ class Surface(NamedTuple):
 
 
 def scene_of_model(model: mujoco.MjModel, root: int, size: float) -> Scene:
-    """Return the scene of a compiled MuJoCo model: all bodies except the world, in order; ``size`` is its height, m."""
+    """Return the scene of a model's bodies in order; the camera follows ``root``; ``size`` is the robot's height, m."""
     bodies = {str(b): _shapes(model, b) for b in range(1, model.nbody)}
     planes = [g for g in range(model.ngeom) if is_plane(model, g) and model.geom_bodyid[g] == 0]
     ground = Ground(float(model.geom_pos[planes[0], 2]), size / _TILES_PER_HEIGHT) if planes else None

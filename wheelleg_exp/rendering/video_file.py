@@ -32,8 +32,8 @@ def write(
 ) -> str:
     """Write pictures (height, width, 3) as a video file, atomically, and return the name of the codec.
 
-    ``path`` (.mp4, .mkv or .mov) must not exist; ``size`` are two even numbers, px. Raise WheellegError if the file
-    cannot be written or PyAV has no suitable encoder.
+    ``path`` (.mp4, .mkv or .mov) must not exist. ``size`` is width and height, px, both even; ``progress`` gets the
+    number of written pictures. Raise WheellegError if the file cannot be written or PyAV has no suitable encoder.
     """
     import av
 

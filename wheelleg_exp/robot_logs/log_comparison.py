@@ -280,7 +280,7 @@ def replay_difference(log: RobotLog, policy: Policy, true: Numbers) -> tuple[flo
 def _sent_action(policy: Policy, sent: Numbers) -> np.ndarray:
     """Return the last action (A,) that the targets ``sent`` (3, J) show.
 
-    It is the policy's own where that differs only by rounding, or much, since clipped actions do not show in targets.
+    Return the policy's own where it differs only by rounding, or much: targets do not show a clipped action.
     """
     action: np.ndarray = policy.action.copy()
     for term in policy.spec["actions"]:

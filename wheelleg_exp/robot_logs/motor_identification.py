@@ -11,11 +11,11 @@ implicit step, gains and frictions would be wrong. A joint that moves continuous
 equals this joint with damping kd - kp L and positions q - L q' for the latency L = h/2.
 
 The start state of each chirp is measured with noise. A last Gauss-Newton step eliminates its errors as further
-unknowns: from the residuals r (n,) and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and S (SᵀS
-+ P)⁻¹ Sᵀ J, with the Jacobian S for the start states and their inverse variances P. The result is r* and J*. The 95 %
-confidence intervals come from the larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and s² = rᵀr / (n
-- p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the sums g of J* r* over each 0.25 s of a chirp. Above 1, the joint's error / noise
-multiplies the half width, because the error of a model is systematic.
+unknowns: from the residuals r (n,) and their Jacobian J for the p parameters, it removes S (SᵀS + P)⁻¹ Sᵀ r and
+S (SᵀS + P)⁻¹ Sᵀ J, with the Jacobian S for the start states and their inverse variances P. The result is r* and J*.
+The 95 % confidence intervals come from the larger of two variances: that of white noise, s² N⁻¹ with N = JᵀJ* and
+s² = rᵀr / (n - p), and N⁻¹ (Σ g gᵀ) N⁻¹ with the sums g of J* r* over each 0.25 s of a chirp. If the joint's error /
+noise is above 1, the half width is multiplied by it, because the error of a model is systematic.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Identified:
-    """The identified parameters, and prediction errors (RMS of errors / noise) with the config's and with these."""
+    """Identified motor parameters, and prediction errors (RMS / noise) of the config's and the identified ones."""
 
     parameters: list[Parameter]
     fitted: tuple[float, float]
@@ -111,7 +111,7 @@ def _add_weight(spec: mujoco.MjSpec, layout: RobotLayout, joint: str, mass: floa
 class ChirpSimulation:
     """N simulations of a robot with a fixed base, each with its own motor parameters and its own piece of a log.
 
-    Each drive is a PD controller at ``rate``, Hz, rounded to a multiple of the control rate. So are the physics steps.
+    Drives are PD controllers. They and the physics run at ``rate``, Hz, rounded to a multiple of the control rate.
     """
 
     def __init__(

@@ -15,9 +15,9 @@ class DelayBuffer(Stateful):
     """A buffer of the last samples of each environment; ``push`` returns the sample stored ``lag`` calls earlier.
 
     As in Isaac Lab, the first sample after a reset is returned until ``lag`` later samples have been stored. Each reset
-    draws the lag uniformly from ``lags``; before the first reset, it is 0. With ``jitter``, each call adds 0 to
-    ``jitter`` calls to the lag, but never returns an older sample than the call before. All samples have the shape and
-    device of ``sample``, for example (N, 3). The first ``prompt`` environments have no delay.
+    draws the lag uniformly from ``lags``; before the first reset, it is 0. With ``jitter``, each ``push`` adds 0 to
+    ``jitter`` calls at random, but never returns an older sample than the ``push`` before. All samples have the shape
+    and device of ``sample``, for example (N, 3). The first ``prompt`` environments have no delay.
 
     Attributes:
         lag: the lag of each environment, in calls of ``push``, (N,).

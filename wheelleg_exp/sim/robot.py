@@ -358,8 +358,8 @@ class Robot(Stateful):
     ) -> None:
         """Apply forces (n, k, 3), N, and torques (n, k, 3), N·m, to bodies until the next reset of ``env_ids``.
 
-        The forces act at the centres of mass, or at ``positions`` (n, k, 3), m, in link frames. The arguments are in
-        link axes, or with ``is_global`` in world axes; in both cases, forces and torques then rotate with the links.
+        The forces act at the centres of mass, or at ``positions`` (n, k, 3), m. The arguments are in link frames, or
+        with ``is_global`` in world axes; in both cases, forces and torques then rotate with the links.
         """
         if not forces.numel() and not torques.numel():
             forces = torques = torch.zeros(self.num_instances, self.num_bodies, 3, device=self.device)

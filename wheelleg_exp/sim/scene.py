@@ -199,7 +199,7 @@ class Scene(Stateful):
         return {"articulation": {"robot": root | joints}}
 
     def reset_to(self, state: RobotState, env_ids: torch.Tensor | None = None, is_relative: bool = False) -> None:
-        """Set ``env_ids`` (n,), by default all environments, to the rows of ``state``, which is as in ``get_state``."""
+        """Set the environments ``env_ids`` (n,), by default all, to the rows of ``state``, as of ``get_state``."""
         robot, given = self.robot, state["articulation"]["robot"]
         pos, quat = given["root_pose"].split((3, 4), dim=1)
         if is_relative:

@@ -70,7 +70,7 @@ class CircularBuffer(Stateful):
 
 
 class DelayBuffer(Stateful):
-    """Returns samples with a delay of 0 to ``history_length`` calls of ``compute`` in each environment, at first 0."""
+    """Delays the samples of each environment by 0 (at first) to ``history_length`` calls of ``compute``."""
 
     def __init__(self, history_length: int, batch_size: int, device: torch.device | str) -> None:
         self.history_length, self.batch_size, self.device = max(0, history_length), batch_size, device

@@ -258,8 +258,8 @@ def _window_fits(window_s: float, resampling_time_range: PositiveInterval) -> It
 class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
 
-    The jumps before steps start if the terrain, also a sloping one, rises by more than ``rise`` from the base to the
-    point that it reaches after ``ahead_s`` seconds at the commanded speed.
+    A jump before a step starts if the terrain rises by more than ``rise`` from the base to the point that the base
+    reaches after ``ahead_s`` seconds at the commanded speed, also on a slope.
 
     Args:
         window_s: time in which the robot must jump, s.

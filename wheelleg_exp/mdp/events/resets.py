@@ -82,7 +82,7 @@ def _drop(model: mujoco.MjModel, addresses: list[int], start: list[float], secon
 class reset_to_resting_pose(TermBase):
     """Lay the robot on level ground in a random pose in which the limp robot came to rest. Not in Isaac Lab.
 
-    The resting poses come from ``num_poses`` drops without torques, in random poses. Checkpoints store them.
+    The resting poses come from ``num_poses`` drops without torques, from random poses. Checkpoints store them.
 
     Args:
         share: share of resets that lay the robot down; the others keep the pose that earlier events have set.

@@ -122,8 +122,8 @@ def _range_of_angles(fovy: float | None, clipping_range: Sequence[float]) -> Ite
 class Camera(LazySensor):
     """A camera on a robot's body, for few environments, because MuJoCo renders each environment separately.
 
-    The first image needs a graphics driver that renders without a display (EGL or OSMesa). Images show only the
-    environment's own robot and the ground, in the colours and lights of the compiled model. With one driver, equal
+    The first read of an image needs a graphics driver that renders without a display (EGL or OSMesa). Images show only
+    the environment's own robot and the ground, in the colours and lights of the compiled model. With one driver, equal
     states give equal images.
 
     Args:

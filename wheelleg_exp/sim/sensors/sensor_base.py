@@ -74,7 +74,7 @@ class SensorBase(Stateful):
         self._is_new = self.buffer("_is_new", is_new, saved=False)
 
     def update(self) -> None:
-        """After a physics step, measure environments whose update period has passed or whose episode has begun."""
+        """After a physics step, measure in environments whose update period has passed or whose episode is new."""
         if self.update_period == 0.0:
             self.measure(None, self._dt)
             return
@@ -134,7 +134,7 @@ def require_base_called(sensor: SensorBase, attribute: str, call: str) -> None:
 class LazySensor(SensorBase):
     """A sensor whose method ``sense`` takes a measurement when code reads ``data``, at most once per physics state.
 
-    With ``update_period``, it measures at resets and once per period, so that reads have no effect on measurements.
+    With an ``update_period``, it measures at resets and once per period, even without reads.
 
     Args:
         update_period: time between two measurements, s; 0 measures the present state at every read.

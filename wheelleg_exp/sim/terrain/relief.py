@@ -34,7 +34,7 @@ class Tile:
 class HeightMap:
     """The layout of terrain tiles in rows along x and columns along y, centred on the world's origin; ``size`` is in m.
 
-    As in MuJoCo's height fields, each cell is two triangles, split from its lowest to its highest x and y.
+    As in MuJoCo's height fields, a cell is two triangles, split at the diagonal from the lowest x and y to the highest.
     """
 
     def __init__(self, tiles: Sequence[Tile], rows: int, size: Sequence[float], device: torch.device) -> None:

@@ -79,7 +79,7 @@ EDGE = 1e-9  # Because of rounding errors, a point 1e-9 m outside of a terrain t
 class Grid:
     """The grid points of a tile's heights, m, relative to the tile's centre; ``x`` (nx, 1) and ``y`` (1, ny) ascend.
 
-    ``half`` are half the edge lengths, m, without the tile's flat rim.
+    ``half`` contains half the edge lengths, m, without the tile's flat rim.
     """
 
     x: Array
@@ -119,7 +119,7 @@ class SubTerrain:
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return a tile's heights (nx, ny), m, at the points of ``grid``; equal arguments must give equal heights.
 
-        ``difficulty`` is from 0 to 1, that of the hardest tile.
+        ``difficulty`` is from 0 (easiest tile) to 1 (hardest tile).
         """
         raise NotImplementedError
 

@@ -161,7 +161,7 @@ class TerrainBase(Stateful):
     def update_env_origins(self, env_ids: torch.Tensor, move_up: torch.Tensor, move_down: torch.Tensor) -> None:
         """Move environments ``env_ids`` (n,) to harder or easier tiles in their columns, given two masks (n,) bool.
 
-        As in Isaac Lab, the hardest row is followed by a random row. Nothing happens without tiles.
+        As in Isaac Lab, environments move up from the hardest row to a random row. Nothing happens without tiles.
         """
         if self.terrain_origins is None:
             return
