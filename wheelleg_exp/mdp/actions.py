@@ -198,6 +198,7 @@ class JointPositionToLimitsAction(JointTerm):
     Unlike in Isaac Lab, ``preserve_order`` has an effect even if the term drives all joints.
 
     Args:
+        scale: factor on the raw action; a number, or one by joint expression.
         clip: bounds of the scaled action by joint expression, before the mapping to limits.
         rescale_to_limits: clamp to [-1, 1] and map to the soft limits; else the scaled action is the target, rad.
     """
@@ -326,8 +327,11 @@ class AbsBinaryJointPositionAction(BinaryJointPositionAction):
     """Select one of two joint position targets, rad, by a threshold on the raw action.
 
     Args:
+        open_command_expr: target of each joint when open, rad, by joint expression.
+        close_command_expr: target of each joint when closed, rad, by joint expression.
         threshold: raw action at which the selection changes.
         positive_threshold: whether the joints open above the threshold (True) or below it (False).
+        clip: bounds of the targets by joint expression, rad.
     """
 
     def __init__(

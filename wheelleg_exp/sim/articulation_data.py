@@ -41,7 +41,6 @@ class ArticulationData(Stateful):
 
     Attributes:
         encoder_bias: encoder reading minus joint position, rad, (N, J).
-        has_encoder_bias: whether some term sets an encoder bias.
         imu_tilt: orientation of the IMU in the axes of the root link, as rotation matrices, (N, 3, 3).
         gyro_bias: reading of the IMU's gyroscope at rest, rad/s, (N, 3).
         gravity_dir_w: unit vector of gravity in world axes, (N, 3); tilted if an event tilts the ground.

@@ -26,7 +26,6 @@ class Engine(Stateful, ABC):
         exact: whether repeating a simulation gives bit-identical results.
         model: the compiled CPU model: names, ids, digests, defaults.
         state: the numbers that determine the next step, one row per simulation, (N, k).
-        nthread: CPU threads that compute the physics steps.
         expanded: the model fields that have one value per simulation, (N, ...) by name.
         asked: model fields and ``WRENCHES`` that terms have obtained; the event manager clears it after each term.
     """

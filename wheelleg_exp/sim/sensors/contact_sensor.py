@@ -55,13 +55,11 @@ def _time(name: str, doc: str) -> TensorProperty:
 class ContactSensorData(Stateful):
     """Measurements of a contact sensor for N environments and B bodies; the suffix ``_w`` means world axes.
 
-    Reading a quantity that is not tracked raises ConfigError.
+    Reading a quantity that is not tracked raises ConfigError. ``points``, ``friction``, and ``filtered`` are
+    ``contact_pos_w``, ``friction_forces_w``, and ``force_matrix_w_history``; None if not tracked.
 
     Attributes:
         forces: net normal force of each step in the history, N, (N, B, 3), newest first.
-        filtered: ``force_matrix_w_history``; None without filtered bodies.
-        points: ``contact_pos_w``; None if not tracked.
-        friction: ``friction_forces_w``; None if not tracked.
         times: contact and air times by name, s, (N, B); zeros if not tracked.
     """
 
