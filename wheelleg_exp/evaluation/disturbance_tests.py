@@ -1,8 +1,4 @@
-"""Tests with disturbances: pushes and changed worlds.
-
-The push test finds the hardest push that a standing robot survives, and measures the recovery from a fixed push. The
-robustness test changes one property of the simulation at a time, such as friction.
-"""
+"""Tests with disturbances: pushes, and worlds in which one property is changed at a time, such as friction."""
 
 from __future__ import annotations
 
@@ -114,8 +110,7 @@ def _part(progress: Progress | None, part: int, parts: int) -> Progress | None:
 class World:
     """A variant of the simulation in the robustness test, with its own options of the environment.
 
-    ``kick`` is the change of the robot's speed at the time ``KICK_S``, m/s: forwards in even episodes, backwards in odd
-    ones. ``platform`` is the peak acceleration of a swinging floor, m/s².
+    ``kick`` (m/s) and ``platform``, the peak acceleration of a swinging floor (m/s²), are applied by ``disturbances``.
     """
 
     sweep: str

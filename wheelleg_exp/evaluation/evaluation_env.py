@@ -1,7 +1,4 @@
-"""Build the environment of a task for an evaluation, and find the wheels and mirrored joints of the robot.
-
-Wheels and mirrored joints are identified by geometry, never by name.
-"""
+"""Build the environment of a task for an evaluation, and find wheels and mirrored joints by geometry, not by name."""
 
 from __future__ import annotations
 
@@ -33,8 +30,7 @@ def evaluation_options(
 ) -> EnvOptions:
     """Return the options of a task's environment with the changes that an evaluation needs.
 
-    Events within an episode, time-outs, rewards, curricula, and recorders are removed. Commands, failure terminations,
-    observations with noise, and events at startup and reset remain.
+    Events within an episode, time-outs, rewards, curricula, and recorders are removed; all other parts remain.
     """
     env = without_pushes(env if protocol.realism == "own" else without_realism(env))
     if protocol.command not in env.commands:
@@ -93,13 +89,12 @@ def target_heights(env: EnvOptions) -> dict[str, Node]:
 class RobotParts:
     """The joints and physical properties of a robot that metrics use. Integer tensors contain joint indices.
 
-    ``wheels`` (W,) are the joints of driven wheels that carry the robot. ``contacts`` is the name of a contact sensor
-    on every body, and ``wheel_bodies`` (W,) are the wheels' body indices in this sensor's data and in the robot's data.
-    ``wheel_radius`` (W,) is the radius of each wheel, m. ``wheel_offsets`` (W,)
-    are the y coordinates of the wheels in the base's axes, m; None if the robot has no forward direction. ``left`` (P,)
-    are driven joints of the left legs, and ``right`` (P,) are their mirror images: the image of ``left`` at q is
+    ``wheels`` (W,) are the joints of driven wheels that carry the robot, and ``wheel_radius`` (W,) are their radii, m.
+    ``contacts`` is the name of a contact sensor on every body; ``wheel_bodies`` (W,) are body indices in its data and
+    in the robot's data. ``wheel_offsets`` (W,) are the wheels' y coordinates in the base's axes, m; None if the robot
+    has no forward direction. ``left`` (P,) and ``right`` (P,) are driven leg joints: the image of ``left`` at q is
     ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J), N·m, is inf
-    for a joint without a limit. ``mass`` is in kg, and ``gravity`` is in m/s².
+    for a joint without a limit. ``mass`` is in kg, ``gravity`` in m/s².
     """
 
     joint_names: tuple[str, ...]

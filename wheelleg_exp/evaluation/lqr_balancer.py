@@ -33,10 +33,9 @@ class Pendulum:
     """Pendulum model of a robot on one axle of wheels: a rigid body at the default pose.
 
     ``mass``, kg, and ``inertia`` about the axle, kg·m², do not include the wheels. ``height`` is the distance of the
-    centre of mass from the axle, m. ``lean`` is the pitch at which the centre of mass is above the axle, rad, positive
-    for nose down. ``rolling`` is the resistance of the wheels to rolling, kg: their mass, and their inertia over the
-    radius squared. ``radius`` is the wheel radius, m, and ``track`` is the distance between the outermost wheel
-    contacts, m. ``gravity`` is in m/s².
+    centre of mass from the axle, m. ``lean`` is the pitch at which it is above the axle, rad, positive for nose down.
+    ``rolling``, kg, is the wheels' mass plus their inertia over the radius squared. ``radius`` (wheels) and ``track``
+    (distance of the outermost wheel contacts) are in m, ``gravity`` is in m/s².
     """
 
     mass: float
@@ -137,16 +136,15 @@ def _inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: set[int], axis:
 class Reference:
     """An LQR balancer that is called like a policy, reads the state without noise, and returns the task's actions.
 
-    The target of a wheel is ``w + u / b``: the speed w, the optimal acceleration u, and the ``bandwidth`` b of the
-    wheels' drive in 1/s. A speed difference between the left and the right wheels turns the robot to the commanded
-    heading. All joints but the wheels stay at their default positions. The robot's target position moves at the
-    commanded speed, so that the LQR corrects position errors.
+    The target of a wheel is ``w + u / b``: its speed w, the optimal acceleration u, and the ``bandwidth`` b of its
+    drive in 1/s. A speed difference between left and right wheels turns the robot to the commanded heading. All other
+    joints stay at their default positions. The target position of the robot moves at the commanded speed, so that the
+    LQR corrects position errors.
 
-    An integrator with the time constant of the robot's unstable pole estimates the pitch at which the robot balances.
-    The balanced pitch depends on the centre of mass, on external forces, and on the slope of the ground. The
-    integrator's input is the difference between the measured pitch acceleration and the prediction of the linear model.
-    In balance, the integrator's input is zero, so the position has no steady-state error. Velocity commands cause no
-    integrator windup, because the linear model predicts their effect.
+    An integrator with the time constant of the robot's unstable pole estimates the pitch at which the robot balances,
+    which depends on the centre of mass, external forces, and the slope. Its input is the difference between the
+    measured pitch acceleration and the linear model's prediction. The input is zero in balance, so that the position
+    has no steady-state error, and velocity commands cause no windup.
     """
 
     name = "reference"

@@ -34,14 +34,11 @@ class Interval:
 class Test:
     """The result of a statistical test that compares the episodes of two methods.
 
-    Attributes:
-        test: name of the test, ``McNemar`` or ``Wilcoxon`` for pairs; ``Fisher`` or ``Mann-Whitney`` without pairs.
-        p: two-sided probability of a difference at least this large by chance.
-        pairs: number of pairs; without pairs, the number of episodes of the smaller group.
-        untied: number of pairs that differ; None without pairs.
-        difference: second minus first: of shares, the median of the pairs' differences, or of medians without pairs.
-        effect: effect size of the test from -1 to 1, positive if the second is larger: the rank-biserial correlation
-            (Kerby, 2014), or the difference of shares. ``effect`` and ``difference`` can have opposite signs.
+    ``test`` is ``McNemar`` or ``Wilcoxon`` for pairs of episodes, otherwise ``Fisher`` or ``Mann-Whitney``. ``p`` is
+    two-sided. Without pairs, ``pairs`` is the size of the smaller group; ``untied`` is the number of pairs that differ.
+    ``difference`` is second minus first: of shares or medians, or the median of the pairs' differences. ``effect`` (-1
+    to 1, positive if the second is larger) is the rank-biserial correlation (Kerby, 2014), or the difference of shares.
+    ``effect`` and ``difference`` can have opposite signs.
     """
 
     test: str
@@ -68,15 +65,9 @@ class OverSeeds:
 class Difference:
     """The difference between two methods in one metric.
 
-    Attributes:
-        metric: ``group/metric``.
-        unit: unit of all numbers.
-        better: whether ``higher`` or ``lower`` is better; empty for maxima and for metrics without a better direction.
-        first: mean over the trainings of the method in question.
-        second: mean over the trainings of the other method.
-        interval: first minus second, with its bootstrap interval.
-        test: test of the episodes; None for metrics of several columns.
-        p: p value of the test, corrected for the number of metrics (Holm); None without a test.
+    ``first`` and ``second`` are means over the trainings of each method; ``interval`` is first minus second, with its
+    bootstrap interval. ``better`` is ``higher``, ``lower``, or empty for metrics without a better direction. ``test``
+    and ``p`` are None for metrics of several columns; ``p`` is corrected for the number of metrics (Holm).
     """
 
     metric: str
@@ -92,9 +83,8 @@ class Difference:
     def outcome(self) -> str:
         """Whether the first method is significantly ``better`` or ``worse`` than the second method, else an empty text.
 
-        A difference is significant if its corrected p value is below ``ALPHA``, and if mean, median, and effect size do
-        not have opposite signs. Without a statistical test, a difference of two methods is significant if its
-        confidence interval excludes 0.
+        A difference is significant if its corrected p value is below ``ALPHA``, and mean, median, and effect size do
+        not have opposite signs; without a test, if its confidence interval excludes 0.
         """
         value, low, high = self.interval.value, self.interval.low, self.interval.high
         sure = self.p < ALPHA if self.p is not None else low > 0.0 or high < 0.0
@@ -116,8 +106,7 @@ class Difference:
 def interquartile_mean(values: Array) -> float:
     """Return the interquartile mean (mean of the middle half) of ``values``; NaN for an empty array.
 
-    The interquartile mean (Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, 2021)
-    ignores a quarter of the values, rounded down, at each end.
+    It ignores a quarter of the values, rounded down, at each end (Agarwal et al., 2021, arXiv:2108.13264).
     """
     return float(stats.trim_mean(values, 0.25)) if len(values) else math.nan
 
@@ -125,8 +114,7 @@ def interquartile_mean(values: Array) -> float:
 def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.random.Generator) -> Interval:
     """Return a metric's mean over S training seeds with a percentile interval of a bootstrap over seeds and episodes.
 
-    ``values`` (S,) and B bootstrap values ``drawn`` (B,) belong to each seed. The interval of one seed covers only
-    episodes.
+    Each seed has a value, and B bootstrap values in ``drawn``. The interval of one seed covers only episodes.
     """
     finite = [value for value in values if np.isfinite(value)]
     return interval(float(np.mean(finite)) if finite else math.nan, clustered_means(drawn, generator), generator)
@@ -135,9 +123,8 @@ def clustered(values: Sequence[float], drawn: Sequence[Array], generator: np.ran
 def clustered_means(drawn: Sequence[Array], generator: np.random.Generator) -> Array:
     """Return B bootstrap means over resampled training seeds and over resampled episodes of each seed, (B,).
 
-    The episodes of one training seed are not independent samples of the method. The bootstrap resamples first training
-    seeds, and then the episodes of each seed (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). For a single
-    training seed, the result is the seed's finite values in ``drawn``, without resampling.
+    The episodes of one seed are not independent samples of the method, so the seeds are resampled first, and then their
+    episodes (Davison and Hinkley, Bootstrap Methods, 1997, section 3.8). A single seed's finite values are returned.
     """
     held = [np.asarray(column, dtype=np.float64) for column in drawn]
     held = [column[np.isfinite(column)] for column in held if np.isfinite(column).any()]
@@ -162,10 +149,7 @@ def interval(value: float, drawn: Array, generator: np.random.Generator) -> Inte
 
 
 def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
-    """Return a metric's noise floor: the 95 % quantile of ``|a - b|`` for random bootstrap values a and b.
-
-    It is 1.96 √2 times the standard deviation of normally distributed values.
-    """
+    """Return a metric's noise floor: the 95 % quantile of ``|a - b|`` for random bootstrap values a and b."""
     first, second = generator.choice(drawn, (2, len(drawn)))
     return float(np.quantile(np.abs(first - second), LEVEL))
 
@@ -176,8 +160,7 @@ def noise_floor(drawn: Array, generator: np.random.Generator) -> float:
 def mcnemar(first: Array, second: Array) -> Test:
     """Return the exact McNemar test of two policies' paired outcomes (success 1, failure 0) in equal scenarios.
 
-    The McNemar test uses only scenarios in which exactly one of the two policies succeeded. By chance both cases are
-    equally likely: the two-sided binomial test of Dwass (1955), McNemar (1947).
+    Only scenarios in which exactly one policy succeeded count: McNemar (1947); two-sided binomial test of Dwass (1955).
     """
     won, lost = int(((first == 0) & (second == 1)).sum()), int(((first == 1) & (second == 0)).sum())
     p = float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
@@ -243,8 +226,7 @@ def over_seeds(evaluations: Sequence[Evaluation]) -> list[OverSeeds]:
 def differences(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> list[Difference]:
     """Return the difference of two methods in each common metric; raise RunDirectoryError if their scenarios differ.
 
-    Each method has one evaluation per training seed. If two methods start from equal states, tests compare pairs of
-    episodes. A paired test first averages each episode's values over the method's training seeds.
+    Each method has one evaluation per seed. With equal start states, episodes are averaged over seeds and paired.
     """
     everyone = [*first, *second]
     require_same_scenarios(everyone)
@@ -354,9 +336,8 @@ def judged_metrics(found: Sequence[Difference]) -> list[Difference]:
 def engine_verdict(found: Sequence[Difference], first: str, second: str) -> str:
     """Return a sentence that names the metrics in which two engines disagree about the same policies.
 
-    A policy can survive in a second engine and still chatter or drift there, so that tracking, drift, torque and the
-    changes of the actions count too. A difference counts if its confidence interval excludes 0, and if it exceeds
-    0.02 of a share, or 10 % of the first engine's value.
+    Drift, chatter, and tracking count too, not only survival. A difference counts if its confidence interval excludes
+    0, and if it exceeds 0.02 of a share, or 10 % of the first engine's value.
     """
     judged = judged_metrics(found)
     if not judged:

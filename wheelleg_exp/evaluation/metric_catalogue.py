@@ -1,7 +1,4 @@
-"""Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval.
-
-``POSTURE`` and ``MOTION`` declare metrics with one row each, and ``metrics_of`` returns all metrics of one test.
-"""
+"""Catalogue of metrics: the episodes and columns of each metric, its reduction to one number, and its interval."""
 
 from __future__ import annotations
 
@@ -81,10 +78,7 @@ def area(columns: Sequence[Array], band: float) -> Array:
 
 
 def _lowest(columns: Sequence[Array], of: Callable[..., Array]) -> Array:
-    """Compute the mean or median (``of``) of each group of episodes, and return the lowest of these results.
-
-    ``columns`` contains each episode's group, and values that are multiplied.
-    """
+    """Return the lowest mean or median (``of``) of all groups; ``columns`` are groups, then values to multiply."""
     cell, value = columns[0], np.prod(columns[1:], axis=0)
     with warnings.catch_warnings():
         # A bootstrap resample can lack all episodes of a velocity command, and numpy warns about means of empty arrays.
@@ -103,10 +97,7 @@ worst_median, worst_mean = partial(_lowest, of=np.nanmedian), partial(_lowest, o
 
 
 def highest(columns: Sequence[Array], share: float) -> Array:
-    """Return the number of consecutive difficulty levels, from the first, whose success rate is at least ``share``.
-
-    ``columns`` contains two arrays: the difficulty level and the success (1 or 0) of each episode.
-    """
+    """Return the number of consecutive levels, from the first, that at least ``share`` of their episodes passed."""
     level, success = columns
     passed, count = np.ones(level.shape[:-1], dtype=bool), np.zeros(level.shape[:-1])
     for one in np.unique(level):
@@ -163,13 +154,8 @@ def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array
 class Metric:
     """The declaration of one metric.
 
-    Attributes:
-        name: ``test/metric``, where ``test`` is the test of its episodes.
-        columns: its numeric columns; episodes with NaN in one of them are skipped.
-        reduce: makes one number of the columns.
-        unit: unit of the number.
-        better: ``higher``, ``lower``, or empty.
-        rows: selects episodes of the test.
+    ``name`` is ``test/metric``, and ``rows`` selects episodes of the test. ``reduce`` makes one number of the numeric
+    ``columns``, without episodes that have NaN in one of them. ``better`` is ``higher``, ``lower``, or empty.
     """
 
     name: str

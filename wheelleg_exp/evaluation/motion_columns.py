@@ -119,8 +119,7 @@ class Motion:
 def survival(made: Trajectories, moments: Sequence[float]) -> Columns:
     """Return each robot's time of failure, and whether it survived until the end and until each of ``moments``, s.
 
-    ``time_to_failure_s`` of an episode without a failure is the episode length, so that the mean underestimates the
-    truth.
+    Without a failure, ``time_to_failure_s`` is the episode length, so that the mean underestimates the truth.
     """
     fell, horizon = made.fell_at, made.steps
     columns = {"survived": (fell == 0).double()}
@@ -156,8 +155,7 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
     With the command c and the velocity v in the base's axes, after settling:
 
     * ``error_<axis>``: √mean (v - c)² while the episode survives;
-    * ``error_<axis>_with_falls``: the same, but at least |c| for an episode that fell. |c| is the error of standing
-      still; so an early fall is never better than a late one.
+    * ``error_<axis>_with_falls``: the same, but at least |c|, the error of standing still, for an episode that fell;
     * ``velocity_<axis>``: mean v from ``steady_s`` on;
     * ``score_<axis>``: mean exp(-(v - c)²/std²) over all steps to the horizon, 0 after a fall;
     * ``still_<axis>``: exp(-c²/std²), the score of standing still.
@@ -181,8 +179,7 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
 def wheel_error(made: Trajectories, parts: RobotParts, settle_s: float) -> Columns:
     """Return ``error_wheels_m_s``: the RMS error of the velocity over each wheel; (N,).
 
-    A point at a distance y to the left of the base has the commanded velocity v - w y, where v is the commanded speed
-    and w the commanded yaw rate. ``wheel_error`` returns no column for a robot without a forward direction.
+    A point y to the left of the base has the commanded velocity v - w y. Without a forward direction, return no column.
     """
     if parts.wheel_offsets is None:
         return {}
@@ -232,10 +229,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
     * ``stop_s``: after the step -c → 0, the time until the speed stays below the band;
     * ``stop_distance``: after the step -c → 0, the distance along the previous heading, m, or the turned angle, rad.
 
-    ``asked`` is the velocity command c of each episode, (N, 3). ``stop_s`` and ``stop_distance`` are NaN if the robot
-    did not drive as commanded before the stop. ``settle_did`` is 1 if ``settle_s`` is not NaN, else 0; the same applies
-    to ``reversal_did`` and ``stop_did``. Each returned column exists with the suffixes ``_vx`` (forward speed) and
-    ``_wz`` (yaw rate).
+    ``asked`` (N, 3) is the command c of each episode. ``stop_s`` and ``stop_distance`` are NaN if the robot did not
+    drive as commanded before the stop. ``settle_did``, ``reversal_did``, and ``stop_did`` are 1 if the time is not NaN,
+    else 0. All columns have the suffix ``_vx`` (forward speed) or ``_wz`` (yaw rate).
     """
     begin, drive, dt = float(options.stand_s), float(options.drive_s), made.dt
     windows = [made.counted(begin + k * drive, begin + (k + 1) * drive) for k in range(3)]
@@ -269,10 +265,9 @@ def responses(made: Trajectories, options: Steps, asked: torch.Tensor) -> Column
 def group_effort(motion: Motion) -> Columns:
     """Return the RMS torques and the saturation of each actuator group, (N,) each.
 
-    ``torque_rms_<group>`` is the RMS torque over joints and physics steps, N·m. ``torque_share_<group>`` is the RMS of
-    the torques divided by the joints' effort limits. ``saturation_<group>`` is the share of physics steps at the effort
-    limit, averaged over joints. ``saturation_max_<group>`` is the share of physics steps that the most saturated joint
-    spends at its effort limit.
+    ``torque_rms_<group>`` is the RMS over joints and physics steps, N·m; for ``torque_share_<group>``, torques are
+    divided by the effort limits. ``saturation_<group>`` is the share of physics steps at the effort limit, averaged
+    over joints; ``saturation_max_<group>`` is that of the most saturated joint.
     """
     columns: Columns = {}
     for name, joints in motion.parts.groups.items():
@@ -287,8 +282,7 @@ def group_effort(motion: Motion) -> Columns:
 def impact(motion: Motion, begin_s: float) -> Columns:
     """Return the largest change of the base's velocity between two control steps, m/s, and the largest torque, (N,).
 
-    The torque is the largest RMS torque of a joint in a control step, as a share of its effort limit. Steps before
-    ``begin_s`` do not count.
+    The torque is a joint's RMS torque in a control step, over its effort limit. Steps before ``begin_s`` do not count.
     """
     made = motion.made
     counted = made.counted(begin_s)
@@ -303,11 +297,10 @@ def impact(motion: Motion, begin_s: float) -> Columns:
 def jump(motion: Motion, options: Jump) -> Columns:
     """Return each jump's clearance, m, longest flight, s, and length of an obstacle that it can pass, m, (N,) each.
 
-    ``clearance_m`` is the largest clearance of the lowest wheel. ``span_m`` is the longest way of the base while the
-    clearance of all wheels is at least ``options.clearance``, or the wheels' radius. ``jumped`` is 1 if the wheels
-    reached that clearance, else 0. ``off_speed_m_s`` and ``off_yaw_rate_rad_s`` are the errors of the mean forward
-    speed, m/s, and of the mean yaw rate, rad/s, in the second before the command to jump. ``drove`` is 1 if they are
-    at most ``options.speed_error`` and ``options.yaw_rate_error``, else 0.
+    ``clearance_m`` is that of the lowest wheel. ``span_m`` is the longest way of the base while all wheels have at
+    least the clearance ``options.clearance``, or their radius; ``jumped`` is 1 if they reached it. ``off_speed_m_s``
+    and ``off_yaw_rate_rad_s`` are the errors of mean speed and mean yaw rate in the second before the command to jump;
+    ``drove`` is 1 if both are at most ``options.speed_error`` and ``options.yaw_rate_error``, else 0.
     """
     made, after = motion.made, motion.made.counted(options.at_s)
     before = made.counted(options.at_s - 1.0, options.at_s)

@@ -1,7 +1,4 @@
-"""Run a policy in N episodes in parallel, without a reset.
-
-The simulation of an ended episode continues, but metrics ignore its steps after the end.
-"""
+"""Run a policy in N parallel episodes without resets; metrics ignore the steps after the end of an episode."""
 
 from __future__ import annotations
 
@@ -51,8 +48,7 @@ class HeldCommand:
 def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> None:
     """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-    Without heights in ``scenarios``, a pose is the middle of the task's range. Each episode has one jump at
-    ``jump_at_s``; inf for none. ConfigError means that the task lacks a command of the test.
+    The default height is the middle of the task's range; inf means no jump. A missing command raises ConfigError.
     """
     terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
     poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]

@@ -44,11 +44,10 @@ class Figure:
 class Evaluation:
     """The result of a policy's evaluation in the tests of an evaluation protocol.
 
-    ``scenarios_sha256`` is the digest of the table of commands and its seed: equal for every policy under one protocol.
-    ``starts_sha256`` maps each test to a hash of the start states and randomised values. If two evaluations have equal
-    ``starts_sha256``, their episodes form pairs. ``episodes`` contains columns (E,) of numbers or texts, in which a
-    missing number is NaN. ``metrics`` are by ``group/metric``. ``about`` describes the robot, the control and physics
-    steps, and the device.
+    ``scenarios_sha256`` is the digest of commands and seed: equal for every policy under one protocol.
+    ``starts_sha256`` maps each test to a hash of start states and randomised values; with equal hashes, the episodes of
+    two evaluations form pairs. ``episodes`` contains columns (E,) of texts, or of numbers that are NaN if missing.
+    ``metrics`` are by ``group/metric``. ``about`` describes the robot, the time steps, and the device.
     """
 
     protocol: Mapping[str, Any]

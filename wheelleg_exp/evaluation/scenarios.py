@@ -19,11 +19,10 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 class Scenarios:
     """A table with one episode per row; all episodes of a group, called cell, get the same velocity commands.
 
-    ``times`` (K,) are the start times of the K successive commands, s, and the first start time is 0. ``cells`` (C, K,
-    3) are the commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are the names of the cells, such
-    as ``vx=1 wz=0``. ``episodes`` is the number of episodes per cell. ``settings`` are further settings of the episodes
-    as text: pushes, tiles, a changed world. ``heights`` (C,) are the commanded heights of the base, m, if the test has
-    such commands.
+    ``times`` (K,) are the start times of the K successive commands, s; the first is 0. ``cells`` (C, K, 3) are the
+    commands of each cell: v_x and v_y in m/s, w_z in rad/s. ``names`` (C,) are names such as ``vx=1 wz=0``.
+    ``episodes`` is the number per cell. ``settings`` describes pushes, tiles, or a changed world as text. ``heights``
+    (C,) are the commanded heights of the base, m, if the test has such commands.
     """
 
     test: str

@@ -1,8 +1,4 @@
-"""Tests on rough ground, with their columns: one number per episode.
-
-In the test ``terrain``, each robot drives straight on one tile. In the test ``strip``, each robot drives from level
-ground over a strip of rough ground to level ground.
-"""
+"""Tests on rough ground: on one tile (``terrain``), or from level ground over a strip to level ground (``strip``)."""
 
 from __future__ import annotations
 
@@ -57,9 +53,8 @@ def place_on_tiles(rollout: Rollout, options: Terrain) -> None:
 def ways(made: Trajectories, rollout: Rollout, options: Terrain) -> Columns:
     """Return each robot's driven distance, its success, and the kind and level of its terrain tile, (N,) each.
 
-    ``distance_ratio`` is the distance that a robot drives along its first heading before a failure, divided by the
-    commanded distance. ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least
-    ``distance_share``, else 0.
+    ``distance_ratio`` is the distance along the first heading before a failure, over the commanded distance.
+    ``success`` is 1 if the robot did not fall and ``distance_ratio`` is at least ``distance_share``, else 0.
     """
     cell = rollout.scenarios.cell_of().to(made.alive.device)
     tile = {"kind": (cell // options.levels).double(), "level": (cell % options.levels).double()}
@@ -116,8 +111,7 @@ def place_before_strip(rollout: Rollout, options: Strip) -> None:
 def phases(made: Trajectories, options: Strip, settle_s: float) -> dict[str, torch.Tensor]:
     """Return masks (T, N) of the control steps in which each robot is ``before``, ``on``, and ``behind`` rough ground.
 
-    If a robot rolls back, its control steps still count as on or behind the rough ground. The mask ``before`` selects
-    the last ``quiet_s`` seconds before a robot reaches the rough ground.
+    A robot that rolls back still counts as on or behind it. ``before`` covers the last ``quiet_s`` seconds before it.
     """
     x, alive = made.pos[..., 0], made.alive
     come = (alive & (x >= options.before)).cummax(dim=0).values

@@ -19,15 +19,14 @@ if TYPE_CHECKING:
 class EffortMeter(SensorBase):
     """Sums joint torques and work over all physics steps, so that metrics include chatter within a control step.
 
-    The environment updates an ``EffortMeter`` like a sensor, but an ``EffortMeter`` is not in the MuJoCo model. Power
-    is a joint's torque times the mean of its speeds before and after the physics step. The net power excludes the
-    torque I_a q̈, whose work only changes the armature's kinetic energy.
+    It is updated like a sensor, but is not in the MuJoCo model. Power is a joint's torque times the mean of its speeds
+    before and after the physics step; the net power excludes the torque I_a q̈, whose work only changes the armature's
+    kinetic energy. ``gross``, ``net``, and ``positive`` (N,) are the mechanical work of a control step, J; ``peak``
+    (N,) is the largest positive power of all joints together, W.
 
-    An actuator is saturated if its torque is at least ``saturation`` times the effort limit. The count of torque sign
-    changes ignores torques of at most ``deadband`` times the effort limit. ``dt`` is the physics step, s. ``gross``,
-    ``net``, and ``positive`` (N,) are the mechanical work of a control step, J. ``peak`` (N,) is the largest positive
-    power of all joints together in a control step, W. For each joint (N, J), ``saturated`` counts physics steps at the
-    effort limit, ``squares`` sums squared torques, and ``sign_changes`` counts the torque's changes of sign.
+    For each joint (N, J), ``saturated`` counts physics steps (of ``dt`` s) with a torque of at least ``saturation``
+    times the effort limit, ``squares`` sums squared torques, and ``sign_changes`` counts the torque's changes of sign,
+    without torques of at most ``deadband`` times the effort limit.
     """
 
     def __init__(self, env: Env, saturation: float, deadband: float, dt: float) -> None:
@@ -98,14 +97,12 @@ class EffortMeter(SensorBase):
 class Trajectories:
     """The motion of N episodes over T control steps, in SI units and radians.
 
-    ``pos`` is the position of the root link relative to the environment's origin, and ``height`` is the height of the
-    root link over the ground. ``vel`` is the velocity of the base's centre of mass, and ``ang`` is the base's angular
-    velocity, both in the base's axes. ``torque`` contains the joint torques of the last physics step in each control
-    step. ``clearance`` is the height of each wheel's lowest point over the ground. ``torque_rms``, ``sign_changes``,
-    and ``saturated`` (share of steps at the effort limit) use all physics steps. ``work`` contains gross, net, and
-    positive mechanical work, and the largest positive power. ``fell_at`` is the number, from 1, of the control step in
-    which an episode failed, and ``ended_by`` is the index of the failure's cause. The tensors contain undefined values
-    after the end of an episode.
+    ``pos`` (relative to the environment's origin) and ``height`` (over the ground) are those of the root link. ``vel``,
+    of the base's centre of mass, and ``ang`` are in the base's axes. ``torque`` is that of the last physics step in
+    each control step; ``torque_rms``, ``sign_changes``, and ``saturated`` (share of steps at the effort limit) use all.
+    ``clearance`` is the height of each wheel's lowest point over the ground. ``work`` contains gross, net, and positive
+    work, and the largest positive power. ``fell_at`` is the number, from 1, of the control step in which an episode
+    failed, and ``ended_by`` the index of the cause. Values after the end of an episode are undefined.
     """
 
     dt: float  # s

@@ -124,10 +124,7 @@ def evaluate_run(
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
 ) -> Evaluated:
-    """Evaluate the mean action of a checkpoint (default: the last), and save the result in the run directory.
-
-    ``progress`` is called with the name of the current test, the finished steps, and the total steps of this test.
-    """
+    """Evaluate the mean action of a checkpoint (default: the last), and save the result in the run directory."""
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     settings = evaluation_settings(run, overrides, config_dirs)
     found = _evaluate(settings, saved_mjcf(run), policy_of(checkpoint, settings.config.agent), progress)

@@ -56,8 +56,7 @@ def reproduce(
 ) -> Reproduction:
     """Repeat the trainings and evaluations of a saved result, and compare every number with the recorded number.
 
-    ``trained`` maps recipes to finished runs, so that no recipe is trained twice. ``say`` receives texts about the
-    progress.
+    ``trained`` maps recipes to finished runs, so that no recipe is trained twice.
     """
     here = [ProcessFacts(versions=versions(), hardware=hardware())]
     differs = _fact_lines(_machine_differences(manifests[:1], here, early=True))

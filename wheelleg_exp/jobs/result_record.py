@@ -237,10 +237,7 @@ _LOCATION_PREFIXES = ("run.", "run=", "init_from=", "recording.")
 def write_results(
     name: str, folder: Path, found: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, words: list[str]
 ) -> list[Path]:
-    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run into a folder; return the written files.
-
-    Earlier files of this name are replaced or removed. ``words`` are the overrides of the evaluations.
-    """
+    """Write ``NAME.md``, ``NAME.json`` and a manifest of each run, replacing earlier ones; return the written files."""
     record = build_record(name, found, runs, reference, words)
     manifests = [result_manifest(made.run) for made in runs]
     files = [folder / name / f"{manifest['id']}.json" for manifest in manifests]

@@ -1,7 +1,4 @@
-"""Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset.
-
-A dataset consists of ``.npz`` archives with the episodes that recorder terms collected (see `docs/datasets.md`).
-"""
+"""Files that a job writes about its rollouts: their folder, the recording and its texts, and the dataset."""
 
 from __future__ import annotations
 
@@ -101,10 +98,7 @@ class ObservingRecording:
 
 
 class EpisodeRecording(ObservingRecording):
-    """A context manager that records every control step of a rollout, until the recording file has its largest size.
-
-    The file receives each simulated second as soon as it has ended.
-    """
+    """A context manager that records every control step of a rollout, until the recording file has its largest size."""
 
     def __init__(
         self,

@@ -40,8 +40,7 @@ class SweepDisplay(Protocol):
 class SweepRunner:
     """Runs the jobs of a sweep, at most ``at_once`` in parallel, until all jobs have ended or a stop is requested.
 
-    Each job has its own process and computes the same bytes as ``wheelleg train``. After a stop request, each job
-    finishes its current iteration, writes a checkpoint, and stops.
+    A job computes the same bytes as ``wheelleg train``. After a stop request, it first finishes its current iteration.
     """
 
     def __init__(

@@ -1,7 +1,4 @@
-"""Save the simulated robot in a run directory, and load the robot from a run directory.
-
-The folder ``asset/`` contains the robot's MJCF, meshes, and conversion report, and networks of earlier runs.
-"""
+"""Save the robot (MJCF, meshes, conversion report, networks) in the folder ``asset/`` of a run, and load it again."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Diagnose a robot for the command ``wheelleg doctor``: list problems, the most urgent first, and notable facts.
 
-The command ``wheelleg doctor`` diagnoses the robot of a task, or a robot file. A robot file is diagnosed on level
-ground, with the pose, drives, and limits of the file. To measure a task's rewards, ``wheelleg doctor`` simulates the
-task for two seconds with random actions.
+A robot file is diagnosed on level ground with its own pose, drives, and limits. To measure the rewards of a task, the
+task is simulated for two seconds with random actions.
 """
 
 from __future__ import annotations
@@ -38,10 +37,7 @@ _ENVS, _SECONDS = 32, 2.0
 
 
 def random_rewards(composed: Composed) -> Mapping[str, float]:
-    """Return each reward term's mean reward per second under standard normal actions, by name.
-
-    The config must be valid, because ``random_rewards`` simulates 32 environments for two seconds.
-    """
+    """Return each reward's mean per second under standard normal actions: 2 s in 32 environments of a valid config."""
     config = composed.config
     env = build_env({**config, "env": {**config["env"], "num_envs": _ENVS}}, composed.asset_roots)
     stream = torch.Generator(device=env.device).manual_seed(int(config["seed"]))
@@ -196,10 +192,7 @@ OF_TASK = (
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The diagnosis of one robot: the findings, most urgent first, and facts worth knowing.
-
-    ``silenced`` contains the findings of lint rules that the task's config silences, each with the config's reason.
-    """
+    """The diagnosis of a robot: findings, most urgent first, facts, and silenced findings with the config's reasons."""
 
     subject: str
     case: Case

@@ -26,10 +26,7 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """The implausible values (findings) that ``wheelleg check --physics`` reports for one config.
-
-    ``reasons`` maps each silenced lint rule to the reason that ``check.silence`` in the config gives.
-    """
+    """The findings of ``wheelleg check --physics`` for one config, and the config's reasons to silence lint rules."""
 
     case: Case
     findings: tuple[Finding, ...]

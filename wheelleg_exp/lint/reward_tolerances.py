@@ -29,9 +29,8 @@ _BELLS = ("rewards.base_height_exp", "rewards.flat_orientation_exp")
 class Contribution:
     """The output of a reward term for a robot with an acceptable error (``tolerance``), such as a tilt of 0.1 rad.
 
-    ``value`` is the term's unweighted output for a robot with an acceptable error; None if unknown. ``cost`` is the
-    absolute difference between ``value`` and the term's output for a robot without error. If ``once`` is true, the
-    reward is given once per episode instead of at each control step.
+    ``value`` is the unweighted output for that robot; None if unknown. ``cost`` is its difference from the output for a
+    robot without error. If ``once`` is true, the reward is given once per episode instead of at each control step.
     """
 
     term: TermView

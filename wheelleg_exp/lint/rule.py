@@ -23,9 +23,8 @@ _LIBRARY = "wheelleg_exp.mdp."
 class TermView:
     """A term of the config.
 
-    ``kind`` is the path of the term's function or class below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``. If a
-    config uses a second name (alias) of a function, the term's ``kind`` contains the function's original name. For
-    functions and classes outside of ``wheelleg_exp.mdp``, ``kind`` is the full dotted path.
+    ``kind`` is the path of the term's function or class below ``wheelleg_exp.mdp``, such as ``rewards.is_alive``, even
+    if the config uses an alias; for other functions and classes, it is the full dotted path.
     """
 
     name: str
@@ -38,9 +37,8 @@ class TermView:
 class Case:
     """The input of a lint rule: a valid config and the robot of this config.
 
-    ``robot`` is the robot's compiled MuJoCo model, or None if only its measured properties ``facts`` are known.
-    ``trial`` maps each reward term's name to its mean reward per second under random actions; None without a
-    simulation. ``of_task`` is False for a robot file, for which no task has set a pose, drives, and terms.
+    ``robot`` is the compiled model, or None if only the measured ``facts`` are known. ``trial`` maps each reward to its
+    mean per second under random actions; None without a simulation. ``of_task`` is False for a robot file.
     """
 
     config: Experiment
@@ -126,9 +124,8 @@ def largest(pair: Iterable[float] | None) -> float:
 class Finding:
     """One implausible number in a config, with the problem and what to do.
 
-    ``figures`` maps names such as ``effort`` to numbers (SI units) that describe the problem. ``advice`` contains
-    alternative fixes; each fix maps config keys to new values. ``where`` is the file and line, or the override, that
-    set ``key``.
+    ``figures`` maps names such as ``effort`` to numbers in SI units. ``advice`` contains alternative fixes, each of
+    which maps keys to new values. ``where`` is the file and line, or the override, that set ``key``.
     """
 
     key: str

@@ -37,10 +37,9 @@ def _worst(joints: dict[str, Joint], size: Callable[[Joint, Drive], float]) -> t
 def armature_ratio(case: Case) -> Iterator[Finding]:
     """The armature of a joint is far larger than the inertia of the links that the joint moves.
 
-    A rotor behind a gear of ratio n acts at the joint like an inertia of n² times the rotor's inertia. In legged
-    robots, the ratio of the rotor's inertia at the joint to the link's inertia is about 1, and rarely 10. A robot with
-    a larger armature cannot be built: it is slow and stable, and its policies do not transfer. Source: MuJoCo
-    documentation, XML reference, joint/armature.
+    A rotor behind a gear of ratio n acts at the joint like n² times its inertia. In legged robots, this is about as
+    large as the link's inertia, and rarely 10 times larger. A robot with a larger armature cannot be built: it is slow
+    and stable, and its policies do not transfer. Source: MuJoCo documentation, XML reference, joint/armature.
     """
     for group, joints in _groups(case).items():
         name, joint, _, ratio = _worst(joints, lambda j, _: j.armature / j.inertia if j.inertia > 0 else 0.0)
@@ -184,10 +183,9 @@ def effort_against_load(case: Case) -> Iterator[Finding]:
 def gains_against_time_step(case: Case) -> Iterator[Finding]:
     """The gains of a drive make the simulation unstable with the physics time step of the config.
 
-    An explicit drive computes the torque from the state before the physics step. An explicit drive with the gains kp
-    and kd is stable for kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I (time step dt, joint inertia I). A drive with implicit
-    damping and the gains kp and kd is stable for kp·dt²/I < 4 + 2·kd·dt/I. The joint inertia I includes the armature,
-    and assumes that all joints can move. Source: the bounds of kp and kd follow from Jury's stability criterion for
+    An explicit drive computes the torque from the state before the physics step. It is stable for kd·dt/I < 2 and
+    kp·dt²/I < 4 - 2·kd·dt/I (time step dt, joint inertia I); a drive with implicit damping, for kp·dt²/I < 4 +
+    2·kd·dt/I. I includes the armature, and assumes that all joints can move. Source: Jury's stability criterion for
     MuJoCo's semi-implicit Euler method (documentation, chapter Computation, "Numerical integration").
     """
     dt, integrator = case.physics_dt, case.env.sim.integrator

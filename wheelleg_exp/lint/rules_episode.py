@@ -53,8 +53,7 @@ def noop_joint_reset(case: Case) -> Iterator[Finding]:
 def zero_width_range(case: Case) -> Iterator[Finding]:
     """The two ends of a random range are equal, so all random values are equal.
 
-    If a config term has a range for each axis, the two ends of at least one range must differ. If a command never
-    changes, a policy cannot learn anything from the constant observation of the command. Source: arithmetic.
+    Of the ranges for several axes, at least one must vary. A policy learns nothing from a constant. Source: arithmetic.
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():
@@ -140,12 +139,11 @@ _PUSHES = ("events.push_by_adding_velocity", "events.set_root_velocity")
 def push_size(case: Case) -> Iterator[Finding]:
     """A push event is too strong for any policy, or too weak to test a policy.
 
-    The largest push that wheels can catch is the wheels' acceleration divided by the rate sqrt(m g h / I) of the
-    inverted pendulum. The wheels' acceleration is limited by their friction or by the torque of their drives. Every
-    robot falls after a push far above the largest push that the wheels can catch. A push below a fifth of the largest
-    push that wheels can catch does not test a policy. Pushes along the robot's own y axis are not checked, because
-    wheels cannot catch sideways pushes. Pushes along the world's y axis are checked, because a robot that has turned by
-    90° can roll in this direction. Source: Pratt et al., "Capture point: a step toward humanoid push recovery", 2006.
+    The largest push that wheels can catch is their acceleration, limited by friction or torque, divided by the rate
+    sqrt(m g h / I) of the inverted pendulum. Every robot falls after a push far above it, and a push below a fifth of
+    it does not test a policy. Pushes along the robot's own y axis are not checked, because wheels cannot catch them;
+    those along the world's y axis are, because a robot that has turned by 90° can roll in this direction. Source: Pratt
+    et al., "Capture point: a step toward humanoid push recovery", 2006.
     """
     balance = case.facts.balance
     if balance is None:
@@ -218,9 +216,8 @@ _ON_WHEELS = (
 def spawn_height(case: Case) -> Iterator[Finding]:
     """The robot starts inside the ground, or far above the ground.
 
-    ``spawn_height`` computes the robot's lowest point in the default pose from the colliding shapes. If a robot starts
-    inside the ground, the contact force throws the robot into the air. A robot that starts at a height h above the
-    ground lands at the speed sqrt(2 g h). Source: kinematics.
+    If it starts inside the ground, the contact force throws it into the air; from a height h above the ground, it lands
+    at the speed sqrt(2 g h). The colliding shapes define its lowest point in the default pose. Source: kinematics.
     """
     facts = case.facts
     clearance, limit = facts.clearance, _DROP * facts.standing_height
@@ -302,10 +299,9 @@ def contact_threshold(case: Case) -> Iterator[Finding]:
 def episode_end(case: Case) -> Iterator[Finding]:
     """Training episodes have no time-out, end at once, or are too short for a fall.
 
-    Without a time-out termination, the critic does not bootstrap the rewards after the end of an episode. If the start
-    state exceeds the limit of a termination, every episode ends in its first step. A robot that falls with a time
-    constant of 1/p needs several time constants until it has fallen. Source: the theory of truncation, Pardo et al.,
-    "Time limits in reinforcement learning", 2018.
+    Without a time-out, the critic does not bootstrap the rewards after the end of an episode. If the start state
+    exceeds the limit of a termination, every episode ends in its first step. A fall with the time constant 1/p takes
+    several time constants. Source: Pardo et al., "Time limits in reinforcement learning", 2018.
     """
     terms = list(case.terms("terminations"))
     if not any(term.node.get("time_out", False) for term in terms):

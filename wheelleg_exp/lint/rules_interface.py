@@ -21,10 +21,9 @@ _TINY = 0.01  # An action of 1 should move a joint by at least 1 % of the joint'
 def action_scale(case: Case) -> Iterator[Finding]:
     """The effect of an action of 1 is too large, too small, or zero.
 
-    At the start of training, a policy's actions are about ±1. An action of 1 should respect the joint's limits and the
-    drive's torque and speed, and should move the joint by at least a hundredth of its range. The drive's gain must not
-    be 0: a position target needs stiffness, and a speed target needs damping. Source: the drive's law, tau = kp (q* -
-    q) + kd (qd* - qd).
+    At the start of training, actions are about ±1. An action of 1 should respect the joint's limits and the drive's
+    torque and speed, and move the joint by at least a hundredth of its range. A position target needs stiffness, and a
+    speed target needs damping. Source: the drive's law, tau = kp (q* - q) + kd (qd* - qd).
     """
     for term in case.terms("actions", *_POSITION, *_VELOCITY):
         joints = case.joints(term.node)
@@ -119,9 +118,8 @@ def action_clip_never_acts(case: Case) -> Iterator[Finding]:
 def command_reach(case: Case) -> Iterator[Finding]:
     """The robot's wheels cannot produce a commanded velocity.
 
-    The robot's top speed is the speed limit of the wheel drives times the wheel radius. The robot's top yaw rate is
-    twice its top speed divided by the track width. A robot with wheels on parallel axles cannot move sideways. Source:
-    kinematics of a differential drive.
+    The top speed is the speed limit of the wheel drives times the wheel radius; the top yaw rate is twice this speed
+    over the track width. Parallel axles allow no sideways motion. Source: kinematics of a differential drive.
     """
     facts = case.facts
     if not facts.wheels or facts.top_speed == 0.0:
@@ -170,10 +168,9 @@ def unbounded_observation(case: Case) -> Iterator[Finding]:
 def observation_scale(case: Case) -> Iterator[Finding]:
     """The size of an observation at the network's input is much larger or smaller than 1, or than its neighbours.
 
-    The initial weights of neural networks are chosen for inputs of about 1. The largest value of each observation,
-    computed from the robot's limits and the config, should be between 0.01 and 10, and above 1 % of the median in its
-    group. Observations that are only for networks with normalised inputs are not checked. Source: Andrychowicz and
-    others (2021, "What matters in on-policy reinforcement learning?") recommend input normalisation.
+    Networks are initialised for inputs of about 1. The largest value of an observation, computed from the robot's
+    limits and the config, should be between 0.01 and 10, and above 1 % of its group's median. Networks with normalised
+    inputs are not checked. Source: Andrychowicz et al., "What matters in on-policy reinforcement learning?", 2021.
     """
     inputs = {term.path: (signal_size(case, term) or 0.0) * _scale(term) for term in case.terms("observations")}
     for term in case.terms("observations"):
@@ -224,9 +221,8 @@ def signal_size(case: Case, term: TermView) -> float | None:
 def noise_against_signal(case: Case) -> Iterator[Finding]:
     """The noise of an observation has no effect, or hides the signal.
 
-    Observation noise has an effect only in groups with ``enable_corruption``. Noise that is half as large as the
-    largest signal hides most of the signal. Source: the parameter ``enable_corruption`` of Isaac Lab 2.3.2 in
-    ``isaaclab/managers/observation_manager.py``.
+    Noise acts only in groups with ``enable_corruption``. Noise half as large as the largest signal hides most of it.
+    Source: Isaac Lab 2.3.2, ``isaaclab/managers/observation_manager.py``, ``enable_corruption``.
     """
     for name, group in case.env.observations.items():
         path, corrupt = f"env.observations.{name}", group.enable_corruption

@@ -35,9 +35,8 @@ def tracking_std(case: Case) -> Iterator[Finding]:
 def reward_outweighs(case: Case) -> Iterator[Finding]:
     """With random actions, as at the start of training, one penalty is far larger than all positive rewards.
 
-    The policy first learns to avoid the largest negative reward, for example by a fall that ends the episode. Only
-    `wheelleg doctor task=…` simulates random actions. Source: the mean of each term over two seconds of standard normal
-    actions in 32 environments.
+    The policy first learns to avoid this penalty, for example by a fall that ends the episode. Only `wheelleg doctor
+    task=…` simulates random actions. Source: means over two seconds of standard normal actions in 32 environments.
     """
     trial = case.trial or {}
     earned = sum(value for value in trial.values() if value > 0.0)
@@ -183,10 +182,9 @@ def ppo_batch(case: Case) -> Iterator[Finding]:
 def discount_horizon(case: Case) -> Iterator[Finding]:
     """The discount horizon 1/(1 - gamma) is longer than an episode, or shorter than the time in which a robot falls.
 
-    The discount multiplies a reward that is 1/(1 - gamma) steps in the future by 1/e. If the horizon of the discount is
-    longer than the episode, the agent optimises rewards that it cannot receive. If the discount's horizon is shorter
-    than a robot's fall, the agent cannot learn which action caused the fall. A fall lasts about five time constants of
-    the robot's unstable pole. Source: the discounted return.
+    A reward that is 1/(1 - gamma) steps in the future counts 1/e. With a horizon beyond the episode, the agent
+    optimises rewards that it cannot receive; with one shorter than a fall (about five time constants of the robot's
+    unstable pole), it cannot learn which action caused the fall. Source: the discounted return.
     """
     steps = horizon_steps(case)
     seconds = steps * case.step_dt
@@ -215,11 +213,9 @@ def _advised(case: Case, fall: float, message: str, figures: dict[str, float], b
 def late_average(case: Case) -> Iterator[Finding]:
     """The averaged policy weights depend too much on the first training iterations.
 
-    Until training iteration n, the averaged policy weights m are the mean of the weights of all iterations so far.
-    After iteration n, each training iteration with the policy weights w adds (w - m) / n to the averaged weights m.
-    After i iterations, the first n = ``average_iterations`` iterations have the share (1 - 1/n)^(i - n) of the
-    average. With ``init_from``, the first iterations are not random, so the rule does not apply. Source: the weights of
-    an exponential mean.
+    In the first n = ``average_iterations`` iterations, the average m is the mean of the weights of all iterations so
+    far; later, each iteration adds (w - m) / n. After i iterations, the first n have the share (1 - 1/n)^(i - n) of the
+    average. With ``init_from``, they are not random, and are not checked. Source: the weights of an exponential mean.
     """
     reach, iterations = case.agent.average_iterations, case.agent.max_iterations
     if reach < 2 or case.config.init_from:

@@ -63,8 +63,7 @@ def no_colliders(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def assumed_masses(case: Case) -> Iterator[Finding]:
     """The robot file lacks masses or inertias, so the converter assumed values for them.
 
-    An assumed mass is a volume times a density, or 1 kg, so the robot's dynamics are inaccurate. Source: the conversion
-    report.
+    An assumed mass, a volume times a density or 1 kg, makes the dynamics inaccurate. Source: the conversion report.
     """
     total = case.facts.mass
     links = [item for item in records(case, "no_inertial") if item.numbers["mass"] > 0]
@@ -110,8 +109,7 @@ _FAST = 200.0  # A joint speed limit above 200 rad/s is implausible.
 def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The robot's mass is implausible for its size, or its root link is below the ground.
 
-    Wrong units in the robot file are the usual cause of an implausible mass or size. Source: the density of a cube
-    whose edge is the robot's longest.
+    The usual cause is a wrong unit in the robot file. Source: the density of a cube whose edge is the robot's longest.
     """
     problem = size_problem(case.facts.mass, robot.anatomy.size, _LIGHT)
     if problem:
@@ -125,9 +123,8 @@ def robot_size(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def link_masses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A link's mass or inertia does not fit the link's size.
 
-    A real link's radius of gyration sqrt(I / m) is 1/30 to 1 of the link's extent, measured from its centre of mass.
-    The centre of mass of a real link is inside or near the link's shapes. No principal moment of inertia exceeds the
-    sum of the other two moments. Source: mechanics of rigid bodies.
+    A real link's radius of gyration sqrt(I / m) is 1/30 to 1 of its extent, measured from the centre of mass, which is
+    inside or near its shapes. No principal moment exceeds the sum of the other two. Source: mechanics of rigid bodies.
     """
     mass = case.facts.mass
     if size_problem(mass, robot.anatomy.size, _LIGHT):
@@ -211,9 +208,8 @@ def joint_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def placeholder_limits(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Limits of effort and speed that no motor has: 0, or so large that they have no effect.
 
-    A drive with an effort limit of 0 has no effect. An effort limit is not realistic if the torque could lift fifty
-    times the robot's weight on an arm as long as the robot. Policies that are trained with unreal effort limits do not
-    work on the real robot. Source: statics.
+    An effort limit is not realistic if the torque could lift fifty times the robot's weight on an arm as long as the
+    robot. Policies that are trained with it do not work on the real robot. Source: statics.
     """
     facts = case.facts
     most = _PLACEHOLDER * facts.weight * robot.anatomy.size

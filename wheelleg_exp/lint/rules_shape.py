@@ -29,10 +29,9 @@ _SHOWN = 4  # pairs in one message
 def overlapping_bodies(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, two bodies of the robot overlap and can push each other apart.
 
-    The contact force pushes overlapping bodies apart in the first physics step. MuJoCo disables contacts between two
-    bodies that a joint connects. Two connected bodies are reported only if the bodies overlap by more than a quarter of
-    the robot's size. Source: MuJoCo documentation, Computation, "Collision detection", on the pairs of bodies that can
-    collide.
+    The contact force pushes them apart in the first physics step. MuJoCo disables contacts between bodies that a joint
+    connects, so these are reported only if they overlap by more than a quarter of the robot's size. Source: MuJoCo
+    documentation, Computation, "Collision detection".
     """
     size = robot.anatomy.size
     pairs = find_overlaps(robot.model, robot.data.qpos, robot.bodies)
@@ -79,9 +78,8 @@ def contact_at_start(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """A wheel is not round, differs from the opposite wheel, is fixed, is blocked by joint limits, or has no collider.
 
-    A wheel is round if its colliders have the same radius at all angles around the axle. A box or a coarse hull does
-    not roll smoothly, and wheels of different radii make the robot lean or turn. Source: the support function of the
-    colliders.
+    The colliders of a round wheel have the same radius at all angles. A box or a coarse hull does not roll smoothly,
+    and different radii make the robot lean or turn. Source: the support function of the colliders.
     """
     for name, why in robot.anatomy.near.items():
         hint = (
@@ -116,11 +114,10 @@ _TOE = math.radians(2)
 def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """At the start of an episode, the robot's centre of mass is not above the wheels.
 
-    A robot on one axle starts to fall at once, and falls faster if its lean is larger. The robot balances if the centre
-    of mass of the parts above the axle is vertically above the axle. If the robot can balance with other leg
-    joint positions, the finding's hint lists these positions. On several axles, the robot's centre of mass must be
-    between the outermost wheel contacts. A robot on one narrow wheel falls sideways. The rule skips a robot file whose
-    pose violates joint limits. Source: statics of the inverted pendulum.
+    On one axle, the robot starts to fall at once unless the centre of mass of the parts above the axle is vertically
+    above it; the hint lists leg joint positions at which the robot can balance. On several axles, the centre of mass
+    must be between the outermost wheel contacts. A robot on one narrow wheel falls sideways. The rule skips a robot
+    file whose pose violates joint limits. Source: statics of the inverted pendulum.
     """
     if robot.anatomy.forward is None or robot.moved:
         return
@@ -167,8 +164,7 @@ def balance_pose(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
 def rolling_direction(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The wheels do not roll along the x axis of the robot's base, or do not roll in one common direction.
 
-    Commands, rewards, and observations assume that the base's x axis points forwards. Source: the convention of Isaac
-    Lab and ROS REP 103 that a body's x axis points forwards.
+    Commands, rewards, and observations assume that x points forwards. Source: the convention of Isaac Lab, ROS REP 103.
     """
     if not robot.anatomy.wheels:
         return
@@ -217,9 +213,8 @@ _MOST = 4  # findings of one kind
 def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right wheel joints have opposite signs, although left and right leg joints have equal signs.
 
-    If wheel joints have opposite signs, an action of 1 drives one wheel forwards and the opposite wheel backwards. A
-    robot file that reverses both leg and wheel axes on one side is consistent, and is not reported. Source: kinematics,
-    v = omega x r.
+    An action of 1 then drives one wheel forwards and the opposite wheel backwards. A robot file that reverses both leg
+    and wheel axes on one side is consistent, and is not reported. Source: kinematics, v = omega x r.
     """
     anatomy = robot.drawn
     signs = {wheel.joint: wheel.sign for wheel in anatomy.wheels if not wheel.caster and wheel.sign}
@@ -257,8 +252,7 @@ def _way(sign: int) -> str:
 def mirror_images(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """Left and right legs are not mirror images in position, mass, centre of mass, or limits.
 
-    An asymmetric robot drifts to one side, and loses rewards for symmetry. Source: the mirror image of each joint and
-    link in the plane between the left and right sides, at the pose of the robot file.
+    An asymmetric robot drifts to one side. Source: the mirror image of each joint and link, at the robot file's pose.
     """
     if robot.drawn.left is None:
         return
@@ -350,8 +344,8 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The default joint positions of a symmetric robot's left and right legs are not mirror images.
 
-    The usual cause of an asymmetric pose is a sign: mirrored joints with opposite axes need positions of opposite
-    signs. Source: the mirrored axes of the joints.
+    The usual cause is a sign: mirrored joints with opposite axes need opposite positions. Source: the mirrored joint
+    axes.
     """
     if robot.drawn.left is None:
         return

@@ -1,7 +1,4 @@
-"""Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect.
-
-A command axis is one component of the robot's command, such as the forward speed, with a range of values.
-"""
+"""Commands and requests of a drive: which axes can be commanded, what was requested, and the commands in effect."""
 
 from __future__ import annotations
 

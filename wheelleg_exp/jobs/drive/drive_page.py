@@ -149,9 +149,8 @@ _MAX_MESSAGE = 1024  # bytes of a message
 class InputServer:
     """Receives key and gamepad input from web pages in a browser on this machine.
 
-    When a web page disconnects, its commands return to their neutral values. ``origins`` are the accepted web origins,
-    such as ``http://127.0.0.1:8080``. ``push`` is the velocity change of a push, m/s. ``next_policy`` takes over when
-    the key for getting up is pressed.
+    When a web page disconnects, its commands return to neutral. ``origins`` are the accepted web origins, such as
+    ``http://127.0.0.1:8080``. ``push`` is in m/s. ``next_policy`` takes over when the key for getting up is pressed.
     """
 
     def __init__(self, controls: Controls, origins: Sequence[str], port: int = 0) -> None:

@@ -33,10 +33,7 @@ _MEASURES: dict[str, Callable[[Any], torch.Tensor]] = {
 
 
 class DriveMeter:
-    """Computes the metrics of a robot that a user drives, step by step; ``definitions.drive`` defines each metric.
-
-    ``height_m`` is the height of the root link above the ground, m, and ``measured`` the value of each measurable axis.
-    """
+    """Computes the metrics of a robot that a user drives, step by step; ``definitions.drive`` defines each metric."""
 
     def __init__(self, env: ManagerBasedRLEnv, axes: Sequence[Axis]) -> None:
         self._env, self._axes = env, list(axes)
@@ -123,8 +120,7 @@ class Status:
 class DriveSession:
     """A simulated robot that a user drives. After an episode ends, the simulation waits for a call of ``reset``.
 
-    ``start`` is the state of the robot at the start; None for a reset. ``jumps`` are the commands for jumps, and
-    ``driven`` is the log of commands and requests. ``fallen`` describes how the episode ended; None while it runs.
+    ``start`` is the initial state; None for a reset. ``fallen`` describes how the episode ended; None while it runs.
     """
 
     def __init__(

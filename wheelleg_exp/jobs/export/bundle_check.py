@@ -40,10 +40,9 @@ def recorded_episodes(
 ) -> dict[str, np.ndarray]:
     """Record a policy's observations and actions in the first environment, as float32, one row per control step.
 
-    ``policy`` controls the robot with actions computed in float64; ``trained`` computes them in float32, as in
-    training. The result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width);
-    ``observations`` (T, O); ``actions`` and ``actions_float32`` (T, A), clipped; ``targets`` (T, 3, J): positions,
-    velocities, efforts.
+    ``policy`` controls the robot in float64; ``trained`` computes the same actions in float32, as in training. The
+    result: ``reset`` (T,) bool, true where an episode starts; ``reading:<name>`` (T, width); ``observations`` (T, O);
+    clipped ``actions`` and ``actions_float32`` (T, A); ``targets`` (T, 3, J): positions, velocities, efforts.
     """
     env, begins = adapter.env, True
     rows: dict[str, list[np.ndarray | np.bool_]] = {}
@@ -116,8 +115,7 @@ int main(void) {
 def compare(folder: Path, torchscript: bytes, onnx: bytes, header: str) -> tuple[dict[str, float], list[str]]:
     """Return each policy file's largest difference from ``check.npz``, and a note if no C compiler is installed.
 
-    The texts are those of ``policy.pt``, ``policy.onnx``, and ``policy.h``. A difference beyond the tolerance raises
-    SimulationFailure.
+    A difference beyond the tolerance raises SimulationFailure.
     """
     found, clipped = dict(runner.check(folder)), runner.Policy(folder).clipped
     recorded = dict(np.load(folder / "check.npz").items())

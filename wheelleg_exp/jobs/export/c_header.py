@@ -1,7 +1,6 @@
 """Write ``policy.h``: the policy as one C99 header, from sensor readings to joint targets.
 
-Fixed numbers become constants, and memory becomes a struct. In the C code, ``r`` points to sensor readings, ``s`` to
-the policy's state, and ``v`` to the values of an observation term.
+In the C code, ``r`` points to sensor readings, ``s`` to the policy's state, and ``v`` to the values of an observation.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Export a trained policy as a bundle: one folder that runs without this package.
 
 The folder is written atomically, after each policy file has given the same actions as the trained policy in simulation.
-The metadata of ``policy.onnx`` contain ``policy.json`` and the keys that mjlab exports.
 """
 
 from __future__ import annotations
@@ -83,10 +82,7 @@ def as_checked(env: Mapping[str, object], rolling_joints: Sequence[str]) -> dict
 
 
 def with_metadata(model: bytes, spec: PolicyJson) -> bytes:
-    """Return an ONNX model with the content of ``policy.json`` as metadata; as in mjlab, a list is comma-separated.
-
-    ``action_scale`` and ``action_offset`` are omitted if an action term lacks them.
-    """
+    """Return an ONNX model with the content of ``policy.json`` as metadata; as in mjlab, a list is comma-separated."""
     loaded = onnx.load_from_string(model)
     terms = [term for group in spec["observations"] for term in group["terms"]]
     about = {

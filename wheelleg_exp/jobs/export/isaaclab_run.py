@@ -1,7 +1,6 @@
 """Export a run as a run folder of Isaac Lab 2.3.2: its configs, its IO descriptors, and its policy.
 
-``params/env.yaml`` contains everything that has a counterpart in Isaac Lab. The notes name the remaining settings. The
-import of Isaac Lab's runs reads the tables of this module, too.
+Settings without a counterpart in Isaac Lab become notes. The import of Isaac Lab's runs reads the same tables.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Export a policy as a LEAPP bundle: an ONNX graph from sensor readings to joint targets, and its description in YAML.
 
-Runtimes for ros2_control, such as NVIDIA's Isaac ROS Deploy, read LEAPP bundles. The package ``leapp`` traces one
-control step of the policy, and writes the files. https://nvidia-isaac.github.io/leapp
+Runtimes for ros2_control, such as NVIDIA's Isaac ROS Deploy, read it: https://nvidia-isaac.github.io/leapp
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ def write_leapp(
 ) -> tuple[dict[str, float], list[str]]:
     """Write a LEAPP bundle; return its largest difference from the recorded targets, and a note per unknown reading.
 
-    ``spec`` is the content of ``policy.json``; ``network`` maps observations (1, O) to actions (1, A). If the joint
-    targets of the bundle differ from the recorded ones by more than the tolerance, raise SimulationFailure.
+    ``network`` maps observations (1, O) to actions (1, A). A difference beyond the tolerance raises SimulationFailure.
     """
     import leapp
 
@@ -117,8 +115,7 @@ def _within(x: torch.Tensor, low: Iterable[float | None], high: Iterable[float |
 class ControlStep:
     """One control step of a policy, on tensors (1, n) that leapp traces; ``runner.Policy`` computes the same in NumPy.
 
-    All state is 0 when an episode starts, because some runtimes ignore the initial values of a bundle. ``new`` contains
-    the state after the step.
+    All state is 0 at the start of an episode, because some runtimes ignore initial values; ``new`` is the next state.
     """
 
     def __init__(self, annotate: Any, spec: PolicyJson, readings: Mapping[str, torch.Tensor]) -> None:

@@ -1,7 +1,4 @@
-"""The types of the content of ``policy.json``; ``bundle_specification`` describes the values.
-
-A list of numbers has one value for each joint or each component of a reading; None means no limit.
-"""
+"""The types of ``policy.json``: a list has a value for each joint or component of a reading; None means no limit."""
 
 from __future__ import annotations
 

@@ -66,10 +66,7 @@ def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[s
 def compose_phases(
     phases: Mapping[str, Phase], overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> dict[str, Composed]:
-    """Check the config of every phase, and check that each phase can start with the policy of the phase before it.
-
-    ConfigError lists the mistakes of all phases; a mistake that a command line override causes in every phase, once.
-    """
+    """Check each phase's config, and that it can start with the previous policy; ConfigError lists all mistakes."""
     for text in overrides:
         if _key(text) in _RESERVED_KEYS:
             message = "the phases of a pipeline set this themselves"

@@ -25,8 +25,7 @@ def resume_pipeline(
 ) -> PipelineSettings:
     """Check that a pipeline can be resumed, and return the settings of the pipeline; an error writes nothing.
 
-    ``overrides`` change its phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty,
-    the recorded config folders are used.
+    ``overrides`` change its phases. If ``config_dirs`` is empty, the recorded config folders are used.
     """
     if index.data["status"] == "running" and is_alive(index.data.get("process")):
         message = "this pipeline is still running"

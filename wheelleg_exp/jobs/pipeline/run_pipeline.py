@@ -74,8 +74,7 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
 class PipelineRunner:
     """Runs the unfinished phases of a pipeline, until a phase fails its gate (evaluation) or a stop is requested.
 
-    Each training, resume, and evaluation has its own process. A phase's run is bitwise equal to one of ``wheelleg
-    train``.
+    Each step has its own process. A phase's run is bitwise equal to one of ``wheelleg train``.
     """
 
     def __init__(self, index: PipelineIndex, settings: PipelineSettings, display: Display, stop: StopRequest) -> None:

@@ -1,8 +1,7 @@
 """Start a training in a process that imports packages from restored source folders.
 
-The file ``restored_imports.py`` runs as a script, before any module of ``wheelleg_exp`` is imported. Its last argument
-is JSON: the folder of each top-level package or module. A module that the restored source lacks is not imported from
-``sys.path``, which may contain another version of it.
+This file runs as a script, before any module of ``wheelleg_exp`` is imported. Its last argument is JSON: the folder of
+each top-level package or module. A module that the restored source lacks is not imported from ``sys.path``.
 """
 
 from __future__ import annotations

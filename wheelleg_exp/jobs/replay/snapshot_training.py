@@ -1,7 +1,6 @@
 """Train a run again from its snapshot, in a child process that imports the run's restored source code.
 
-Parent and child process may run different versions of ``wheelleg_exp``, so the request contains a protocol version. The
-child sends the events ``began``, ``note``, ``composed``, ``asset``, ``run``, ``iteration`` and ``ended`` to the parent.
+Both processes may run different versions of ``wheelleg_exp``, so the request contains a protocol version.
 """
 
 from __future__ import annotations

@@ -46,8 +46,7 @@ class Fit:
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
     """Compare the ``env`` and ``agent`` configs of a policy's training, ``was``, with those of a new training, ``now``.
 
-    ``roles`` lists the networks to copy, such as ``actor``. ``of`` names the policy's training in error messages. A
-    changed parameter of an observation function gives only a note, because it may not change the observation size.
+    ``of`` names the policy's training in errors. A changed parameter of an observation function gives only a note.
     """
     found = Fit([], [], [], {})
     (old_env, old_agent), (env, agent) = was, now
@@ -151,8 +150,7 @@ class _Source:
 def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[dict[str, Path], dict[str, str]]]:
     """Yield the initial networks' file as ``{INITIAL: path}``, and the id and task of the run that trained them.
 
-    The file does not name this run, so that equal networks have equal files. ``note`` receives a text about each
-    changed setting that fits. ConfigError means that ``init_from`` is missing, is damaged, or does not fit ``config``.
+    Equal networks have equal files. If ``init_from`` is missing, is damaged, or does not fit, raise ConfigError.
     """
     if config.get(KEY) is None:
         yield {}, {}

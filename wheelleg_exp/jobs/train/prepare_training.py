@@ -1,7 +1,6 @@
 """Prepare a training: find every mistake of the input, build environment and networks, and create the run directory.
 
-``prepare`` calls the functions that prepare a training, in order. Every rank builds the environment and the networks;
-only rank 0 creates the run directory.
+Every rank builds the environment and the networks; only rank 0 creates the run directory. ``prepare`` calls, in order:
 
 1. ``find_inputs``: check that the config can be recorded, find the networks of other runs, convert the robot.
 2. ``build_trainer``: build the environment, set the threads, build the networks and the trainer.

@@ -45,10 +45,7 @@ class ResumePoint:
 
 
 def find_point(run: RunDirectory) -> ResumePoint:
-    """Find the last checkpoint of a run whose digests (hashes) equal those in the iteration log.
-
-    RunDirectoryError means that no checkpoint matches the log, or that the checkpoint's format is too old.
-    """
+    """Find a run's last checkpoint that matches its iteration log; RunDirectoryError if none can be used."""
     lines = read_log(run.iterations).lines
     damaged: dict[Path, str] = {}
     foreign: RunDirectoryError | None = None

@@ -1,7 +1,4 @@
-"""Resume a stopped, killed, or extended training run; the resumed run is bitwise equal to an uninterrupted run.
-
-All ranks resume together: rank 0 reads the run directory, and sends the state of the run to the others.
-"""
+"""Resume a stopped, killed, or extended training run; the resumed run is bitwise equal to an uninterrupted run."""
 
 from __future__ import annotations
 
@@ -107,9 +104,8 @@ def prepare_resume(
 ) -> Training:
     """Lock a run and restore its last complete checkpoint; ``run_training.run`` continues and then unlocks the run.
 
-    ``overrides`` change settings of later iterations. Empty ``config_dirs`` mean those in the run's manifest.
-    WheellegError means that the run is locked, damaged, or finished, or that an override is wrong; all files remain
-    unchanged.
+    ``overrides`` change settings of later iterations. Empty ``config_dirs`` mean those in the manifest. WheellegError
+    means a locked, damaged, or finished run, or a wrong override; all files remain unchanged.
     """
     lock = RunLock(run)
     try:

@@ -48,9 +48,8 @@ class StuckCurricula:
 def run(training: Training, display: Display, stop: StopRequest) -> dict[str, object]:
     """Train until the last iteration or a stop request, and return the training's results for the run's manifest.
 
-    After a stop request, write the checkpoint of the last finished iteration, and raise KeyboardInterrupt.
-    SimulationFailure means that a number was NaN or inf, the disk failed, or the run was removed. After a NaN or inf,
-    the run directory contains the bad state and a checkpoint of the last finished iteration.
+    After a stop request, write the checkpoint of the last finished iteration, and raise KeyboardInterrupt. NaN or inf
+    (saved with a last checkpoint), a disk that failed, or a removed run raises SimulationFailure.
     """
     trainer, directory = training.trainer, training.directory
     agent = training.recipe.experiment.agent

@@ -97,10 +97,7 @@ _WANDB_SETTINGS |= dict.fromkeys(("x_disable_machine_info", "x_disable_meta", "x
 
 
 class WandbLog:
-    """A context manager that sends the scalars of a training to Weights & Biases, under one id also after a resume.
-
-    The environment variables of wandb (``WANDB_MODE``, ...) choose where wandb sends the scalars.
-    """
+    """A context manager that sends the scalars of a training to Weights & Biases, under one id also after a resume."""
 
     def __init__(self, directory: RunDirectory, config: Mapping[str, object]) -> None:
         self._directory, self._config = directory, config

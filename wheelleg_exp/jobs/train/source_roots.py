@@ -1,7 +1,4 @@
-"""Find the source folders of a training, and compare a run's source code and machine with the current ones.
-
-A training's source folders are this package, the user's projects and configs, and further imported packages.
-"""
+"""Find the source folders of a training, and compare a run's source code and machine with the current ones."""
 
 from __future__ import annotations
 

@@ -27,8 +27,7 @@ from wheelleg_exp.run.run_directory import FAILURE
 class Outputs:
     """The output files of a running training, which are readable at any moment and closed on exit.
 
-    Logs are synced to disk before each checkpoint, so that no checkpoint is newer than the logs after a power failure.
-    ``diverged_after`` is the first iteration after which two ranks have different networks, or None.
+    Logs are synced before each checkpoint. ``diverged_after`` is the first iteration after which ranks differ, or None.
     """
 
     def __init__(self, training: Training) -> None:

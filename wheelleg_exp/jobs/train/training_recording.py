@@ -28,9 +28,8 @@ _FILM_NAME = re.compile(r"iteration_(\d+)\.mp4")
 class Films:
     """A context manager that makes videos of the first recorded environment, without any effect on the training.
 
-    A video starts with every ``video_every``-th iteration, and ends after ``steps`` control steps or when the next
-    video starts. It is rendered between two iterations. After a rendering error, which ``ended`` describes, there are
-    no videos.
+    A video starts with every ``video_every``-th iteration, ends after ``steps`` control steps at the latest, and is
+    rendered between two iterations. After a rendering error, which ``ended`` describes, there are no videos.
     """
 
     def __init__(self, folder: Path, env: ManagerBasedRLEnv, options: RecordingOptions, start_iteration: int) -> None:

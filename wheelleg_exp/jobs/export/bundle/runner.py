@@ -206,9 +206,8 @@ class Reading:
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
-    If ``onnx`` is true, ``policy.onnx`` is run by onnxruntime, or by onnx.reference without onnxruntime.
-    ``observation`` is the last input of the policy's network, before normalisation. ``action`` is the last output of
-    the policy's network, clipped as in training.
+    With ``onnx``, ``policy.onnx`` is run by onnxruntime, or else by onnx.reference. ``observation`` and ``action`` are
+    the network's last input, before normalisation, and its last output, clipped as in training.
     """
 
     def __init__(self, folder: str | Path = Path(__file__).parent, onnx: bool = False) -> None:
@@ -260,9 +259,8 @@ class Policy:
     def step(self, readings: Mapping[str, npt.ArrayLike]) -> dict[str, Array]:
         """Return targets ``position`` (rad), ``velocity`` (rad/s), and ``effort`` (N·m) of the J joints, (J,) each.
 
-        ``readings`` contains the current value of each sensor reading and each command, by name. ``base_quat`` (w, x,
-        y, z) can replace the reading ``projected_gravity``. If a sensor reading is missing or not finite, ``step``
-        raises ValueError and does not change the policy's state.
+        ``readings`` contains each sensor reading and each command by name; ``base_quat`` (w, x, y, z) can replace
+        ``projected_gravity``. A missing or non-finite reading raises ValueError and does not change the policy's state.
         """
         self.observation = self.observe(readings)
         self.action = self.network(self.observation)
@@ -343,8 +341,7 @@ class Policy:
     def targets(self, joint_pos: npt.ArrayLike) -> dict[str, Array]:
         """Return the targets of all joints; a relative action is added to the joint's position in ``joint_pos``.
 
-        Target positions of joints are clipped to the joint limits. Target velocities are clipped to the velocity limits
-        of the motor drives.
+        Positions are clipped to the joint limits, and velocities to the velocity limits of the motor drives.
         """
         found = {"position": self.default.copy(), "velocity": np.zeros_like(self.default)}
         found["effort"] = np.zeros_like(self.default)
@@ -469,8 +466,7 @@ class Policy:
 class Log:
     """A robot log as CSV: one row per control step with time, readings, targets, status, gain, and reset.
 
-    ``write`` appends the row of one ``update``. The readings of the first row define the columns. The fields of a
-    missing reading are empty.
+    The readings of the first row define the columns. The fields of a missing reading are empty.
     """
 
     def __init__(self, path: str | Path, policy: Policy) -> None:

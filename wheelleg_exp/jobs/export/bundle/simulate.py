@@ -27,10 +27,7 @@ FALLEN = 0.5  # A robot counts as fallen above a tilt of 60 degrees, whose cosin
 
 
 class Robot:
-    """The simulated robot: its readings, and drives that take targets.
-
-    ``scene`` is an MJCF file with ground, robot, and actuators; each actuator has the name of its joint.
-    """
+    """The simulated robot: its readings, and drives that take targets; each actuator has the name of its joint."""
 
     def __init__(self, spec: Any, scene: Path = HERE / "robot" / "scene.xml") -> None:
         self.spec = spec
