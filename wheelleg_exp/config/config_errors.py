@@ -48,8 +48,7 @@ def raise_all(errors: Sequence[ConfigError], cause: Exception | None = None) -> 
 def follows_from(error: ConfigError, lost: Collection[str]) -> bool:
     """Return whether an error can be caused by the missing values of the config keys in ``lost``.
 
-    An entry of ``lost`` with a leading dot, such as ``.alive``, means the key ``alive`` in any config section. An empty
-    text in ``lost`` means that the values of all config keys can be missing.
+    In ``lost``, ``.alive`` means the key ``alive`` in any config section, and an empty text means all keys.
     """
     key = error.key or ""
     if isinstance(error, UnknownName) and _is_at_or_below(error.named, lost):

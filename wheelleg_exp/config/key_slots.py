@@ -1,7 +1,6 @@
 """Find the type, default, bounds, and description of each key that the config accepts.
 
-The type of a key comes from the code that reads the key: from the dataclass of a section, from the signature of a term,
-or from a class of rsl_rl.
+The type comes from the code that reads the key: a section's dataclass, a term's signature, or a class of rsl_rl.
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ _NAMES = {
 class Slot:
     """The type, default, and description of one key that a config can set.
 
-    ``default`` is ``REQUIRED`` for a config key without a default. ``reader`` is the dotted name of the class or
-    function that reads the config key.
+    ``default`` is ``REQUIRED`` without a default. ``reader`` is the dotted name of the code that reads the key.
     """
 
     annotation: Any = Any

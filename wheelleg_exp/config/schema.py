@@ -1,7 +1,6 @@
 """Define the fixed part of the composed config: its keys, their types, and their ranges.
 
-Each config section has a dataclass, whose field names are the keys of the section. A field's annotation, such as
-``Seed`` for the field ``seed``, defines the type and the range of the config value.
+Each section has a dataclass: field names are keys, and an annotation such as ``Seed`` defines type and range.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The layout of Rerun's viewer: the robot on the left, plots and texts on the right.
-
-The viewer first shows a training's learning curves, a robot's motion under a policy, or an evaluation's metrics.
-"""
+"""The layout of Rerun's viewer: the robot on the left, plots and texts on the right."""
 
 from __future__ import annotations
 
@@ -32,8 +29,7 @@ _GROUPS = {
 class EnvLayout:
     """The properties of one recorded environment that determine the layout of Rerun's viewer.
 
-    ``root`` is the Rerun entity of the robot's base, and ``size`` is the height of the robot in m. ``joints`` maps each
-    joint to True if its actuator controls the position, and to False if it controls the velocity.
+    ``root`` is the base's entity, ``size`` the robot's height, m. ``joints`` maps position-controlled joints to True.
     """
 
     label: str
@@ -52,8 +48,7 @@ def blueprint(
 ) -> rrb.Blueprint:
     """Return the layout of Rerun's viewer, in which the camera follows the robot of the first environment.
 
-    ``purpose`` (training, play, or evaluation) determines the first tab of the viewer. ``documents`` are the names of
-    the recorded texts, and ``training`` are the keys of the recorded training scalars.
+    ``purpose`` selects the first tab. ``documents`` names the recorded texts, ``training`` the training scalars.
     """
     tabs = [tab for env in envs for tab in _env_tabs(env, several=len(envs) > 1)]
     if purpose == "training":

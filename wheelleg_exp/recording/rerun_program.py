@@ -1,7 +1,4 @@
-"""Run Rerun's command-line program, which rewrites recordings.
-
-A rewritten recording has a few large data chunks instead of thousands of small chunks, and ends with an index.
-"""
+"""Run Rerun's command-line program, which rewrites recordings."""
 
 from __future__ import annotations
 
@@ -47,8 +44,7 @@ def run_rerun(*words: str) -> tuple[str | None, list[str]]:
 def optimize_recording(path: Path) -> str | None:
     """Compress a closed recording to about a third of its size. Return the reason if compression failed, else None.
 
-    Compression does not change the recorded values. The compressed file atomically replaces the original file. If the
-    disk is full or Rerun's program is missing, the recording remains unchanged and without an index.
+    The file is replaced atomically. Without Rerun's program or enough disk space, it stays unchanged, without an index.
     """
     rewritten = temporary_name(path)
     try:

@@ -1,20 +1,14 @@
 """Read and write the messages of an rrd file, the format of Rerun recordings.
 
-Rerun's SDK encodes and decodes the content of messages.
-
-An rrd file consists of a header of 12 bytes and messages. A message consists of its kind (u64), the length of its
-content in bytes (u64), and its content. A closed rrd file ends with a message that contains an index, and with 32 bytes
-that contain the index's position.
-
-Rerun's SDK writes new messages to a temporary file; these messages, but not their index, are then appended to the
-recording. Measured with Rerun 0.41:
+An rrd file consists of a header of 12 bytes and messages: kind (u64), length of the content in bytes (u64), and
+content, which Rerun's SDK encodes and decodes. A closed file ends with an index message, and 32 bytes with its
+position. New messages go to a temporary file and are then appended, without their index. Measured with Rerun 0.41:
 
 - The file stream of Rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
-  disk is full. Rerun's function ``write_rrd`` leaves no threads in the process, and raises an error if the disk is
-  full. ``write_rrd`` takes 9 ms to write 16 rows of 60 Rerun entities.
-- The reader of Rerun's SDK raises an error for a truncated file. Rerun's reader terminated the process for 4 of 300
-  damaged files without an index, and for none of 400 damaged files with an index. Rerun's own program first rewrites
-  recordings that have no index.
+  disk is full. ``write_rrd`` leaves no threads, raises an error for a full disk, and writes 16 rows of 60 entities in 9
+  ms.
+- The reader of Rerun's SDK raises an error for a truncated file. It terminated the process for 4 of 300 damaged files
+  without an index, and for none of 400 with one. So Rerun's own program first rewrites recordings without an index.
 """
 
 from __future__ import annotations

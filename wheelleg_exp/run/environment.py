@@ -1,7 +1,4 @@
-"""The facts besides the source on which a run's numbers depend: distributions, hardware, environment variables.
-
-The versions of packages are read from installed metadata, without an import of torch or MuJoCo.
-"""
+"""The facts besides the source on which a run's numbers depend: distributions, hardware, environment variables."""
 
 from __future__ import annotations
 
@@ -64,8 +61,7 @@ def versions() -> dict[str, str | None]:
 def hardware() -> dict[str, object]:
     """Return the CPU's model and vector instructions, the number of CPU cores, the memory size, and the platform.
 
-    ``cores_usable`` is the number of CPU cores that this process can use in its container. The returned mapping has the
-    key ``torch_cpu_capability`` only if torch is already imported.
+    ``cores_usable`` counts the cores of this container; ``torch_cpu_capability`` exists only if torch is imported.
     """
     memory = None
     with suppress(OSError):
@@ -89,8 +85,7 @@ def hardware() -> dict[str, object]:
 def variables(environ: Mapping[str, str] | None = None, also: Iterable[str] = ()) -> dict[str, str]:
     """Return the environment variables that can change the results of a run, sorted by name.
 
-    ``also`` contains the names of further environment variables to return, such as those that a config requests. The
-    result lacks environment variables whose names contain a word such as ``TOKEN`` or ``PASSW``.
+    ``also`` adds names. Variables whose names contain a word such as ``TOKEN`` or ``PASSW`` are left out.
     """
     environ = os.environ if environ is None else environ
     wanted = set(also)
@@ -103,9 +98,8 @@ def replay_environ(
 ) -> dict[str, str]:
     """Return environment variables with which a new process computes the same numbers as a recorded run.
 
-    Environment variables that affect numbers, such as ``OMP_NUM_THREADS``, and those in ``also`` get their recorded
-    values. Environment variables that affect numbers but have no recorded value are removed. Environment variables for
-    paths, devices, and preloaded libraries keep their present values.
+    Variables that affect numbers, such as ``OMP_NUM_THREADS``, get their recorded values, or are removed without one;
+    those in ``also`` get their recorded values. Paths, devices, and preloaded libraries keep their present values.
     """
     present = dict(os.environ if environ is None else environ)
     unchanged = {name: value for name, value in present.items() if not _is_numeric(name, value)}
@@ -137,10 +131,7 @@ def distributions() -> list[str]:
 
 
 def environment_text(threads: Mapping[str, object]) -> str:
-    """Return the text of ``environment.txt``: the machine's facts as comments, then the distributions.
-
-    pip can read the text as a requirements file. Equal environments give equal texts.
-    """
+    """Return ``environment.txt``: the machine's facts as comments, then the distributions as requirements for pip."""
     sections: dict[str, Mapping[str, object]] = {
         "python": {"version": sys.version.replace("\n", " ")},
         "hardware": {k: v for k, v in hardware().items() if k != "torch_cpu_capability"},

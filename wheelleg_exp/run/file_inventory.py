@@ -90,10 +90,7 @@ def odd_entries(directory: Path) -> dict[str, str]:
 
 
 def relative_name(directory: Path, path: Path) -> str:
-    """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error.
-
-    A relative ``path`` can start at the working directory or at ``directory``.
-    """
+    """Return ``path`` relative to ``directory``, with forward slashes; a path outside ``directory`` raises an error."""
     base = directory.resolve()
     for full in (path.resolve(), (base / path).resolve()):
         if full.is_relative_to(base):

@@ -141,10 +141,7 @@ def filters(repository: Repository) -> list[str]:
 
 
 def without_credentials(url: str) -> str:
-    """Return a URL without password, query, and fragment; keep the user name only for ``ssh`` URLs.
-
-    A URL of the short form ``git@host:path`` and a local path contain no credentials and are returned unchanged.
-    """
+    """Return a URL without password, query, and fragment; keep the user name only for ``ssh`` URLs."""
     if "://" not in url:
         return url
     try:

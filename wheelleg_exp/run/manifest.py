@@ -1,7 +1,6 @@
 """``manifest.json`` of a run: its settings, its end, and the digest of every file that the run wrote.
 
-The last key of ``manifest.json``, ``sha256``, is a hash of the file's own bytes, which reveals a changed byte. The type
-of every value in a manifest is checked before the value is used.
+Its last key, ``sha256``, is a hash of the file's own bytes. Every value's type is checked before the value is used.
 """
 
 from __future__ import annotations
@@ -219,8 +218,7 @@ class Manifest:
     ) -> None:
         """Write the run's final status and the hashes of its files into the manifest; all files must be closed.
 
-        ``results`` are added to the results that the manifest already contains. ``error`` is the exception that made
-        the run fail.
+        ``results`` are added to those that exist. ``error`` is the exception that made the run fail.
         """
 
         def change(data: dict[str, Any]) -> None:
@@ -244,8 +242,7 @@ class Manifest:
     ) -> None:
         """Record that this process resumes the run: status ``running``, and the facts of this machine.
 
-        ``facts``, and the values that the resume replaces, become an entry in the manifest's list ``resumes``.
-        ``texts`` maps the path of each config file that the resume changes to the file's new text.
+        ``facts``, and the replaced values, become an entry of ``resumes``. ``texts`` are changed config files by path.
         """
         texts = dict(texts or {})
 
@@ -291,8 +288,7 @@ class Manifest:
     ) -> None:
         """Record the files and results that a command adds to a run that has ended.
 
-        ``kind`` names the command that added the files: ``play``, ``evaluation``, or ``export``. Each path in ``files``
-        must be below the run directory.
+        ``kind`` names the command: ``play``, ``evaluation``, or ``export``. ``files`` must be below the run directory.
         """
         words = list(sys.argv if command is None else command)
         entry: dict[str, object] = {"kind": kind, "when": utc_text(utc_now()), "command": words}
@@ -321,9 +317,8 @@ class Manifest:
     def finishing(self) -> Iterator[dict[str, object]]:
         """At the end of the ``with`` block, record in the manifest that the run has ended.
 
-        The context manager yields a dictionary, into which the ``with`` block writes the run's results. Ctrl-C sets the
-        run's status to ``interrupted``, and any other exception sets the status to ``failed``. An exception in the
-        ``with`` block is raised again, even if the manifest cannot be written.
+        The block writes the results into the yielded dictionary. Ctrl-C sets the status ``interrupted``, and any other
+        exception ``failed``; the exception is raised again, even if the manifest cannot be written.
         """
         results: dict[str, object] = {}
         with self.failing(results):

@@ -1,7 +1,6 @@
 """Typed records of a run: what ``manifest.json`` says about a process, its resumes, and its files.
 
-``read_record`` converts parsed JSON to a dataclass or TypedDict. The first key with a wrong value is an error. Keys
-that a newer version of the program wrote are ignored; they stay in the file, because only ``Manifest`` writes it.
+The first wrong value is an error. Keys of newer versions are ignored, and stay in the file that ``Manifest`` writes.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ class _WrongValue(ValueError):
 def read_record(kind: type[T], value: object, broken: str, where: object) -> T:
     """Return parsed JSON as a ``kind``: a dataclass, or a TypedDict, which is the unchanged mapping.
 
-    A missing or null key becomes the default of its dataclass field. RunDirectoryError starts with the text ``broken``,
-    and names the key and the file ``where``.
+    A missing or null key becomes the field's default. RunDirectoryError starts with ``broken``, and names key and file.
     """
     try:
         found: T = _read(value, kind, "")

@@ -1,10 +1,9 @@
 """Read the inputs of a run from its directory: parameters, config, overrides, and hashes of the robot files.
 
-``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild the environment and agent of the run.
-The file ``.hydra/config.yaml`` contains unresolved ``${...}``, and anyone can have changed the file. Each ``${...}`` in
-the config is resolved from the config's own keys and the environment variables stored with the run. Resolving
-``${...}`` reads no environment variable of this process, and calls no user-defined resolver. The overrides recorded
-with a run can change config values, but not Hydra's own settings.
+``params/env.yaml`` and ``params/agent.yaml`` contain all parameters that rebuild environment and agent. The file
+``.hydra/config.yaml`` contains unresolved ``${...}``, and anyone can have changed it. Each ``${...}`` is resolved from
+the config's own keys and the run's recorded environment variables, without variables of this process and user-defined
+resolvers. Recorded overrides can change config values, but not Hydra's own settings.
 """
 
 from __future__ import annotations
@@ -183,8 +182,7 @@ def resolved(
 ) -> dict[str, object]:
     """Return a config or some config sections; each ``${...}`` is resolved from the config and the given variables.
 
-    ``variables`` maps the NAME of each environment variable to the value of ``${oc.env:NAME}``. If ``variables`` lacks
-    NAME, and the config gives no default, ``absent(NAME)`` returns the value.
+    ``${oc.env:NAME}`` is ``variables[NAME]``, the config's default, or else ``absent(NAME)``.
     """
     from omegaconf import OmegaConf
     from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException

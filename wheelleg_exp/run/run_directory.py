@@ -1,7 +1,4 @@
-"""Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it.
-
-If a user gives the folder of a training pipeline instead of a run, the error lists the pipeline's run directories.
-"""
+"""Run directories: create one exclusively, find one by path, id or ``latest``, and name the paths inside it."""
 
 from __future__ import annotations
 
@@ -117,10 +114,8 @@ class RunDirectory(os.PathLike[str]):
     def open(cls, run: str | Path, root: str | Path, *, odd: bool = False) -> RunDirectory:
         """Find a run directory by path, by run id (``<folder>`` or ``<task>/<folder>``), or by the name ``latest``.
 
-        ``stock:NAME`` is the run directory of a policy that ships with ``wheelleg_exp`` (``stock_run``).
-
-        Links, pipes, and devices in the run directory raise RunDirectoryError unless ``odd`` is true. A caller that
-        passes ``odd=True`` must report links, pipes, and devices itself, and must not open them.
+        ``stock:NAME`` is the run directory of a policy that ships with ``wheelleg_exp``. Links, pipes, and devices
+        raise RunDirectoryError unless ``odd`` is true; the caller must then report them, and must not open them.
         """
         directory = cls(_found(run, Path(root)).resolve())
         directory.manifest()

@@ -1,7 +1,6 @@
 """The index files of several runs: ``sweep.json`` lists the runs of a sweep, ``pipeline.json`` those of a pipeline.
 
-Each sweep or pipeline has a folder below the folder of all runs; its index file lists the paths of run directories.
-Every change replaces the whole index file of the sweep or pipeline.
+Each sweep or pipeline has a folder below the folder of all runs. Every change replaces the whole index file.
 """
 
 from __future__ import annotations
@@ -163,10 +162,8 @@ class _RunIndex:
 class SweepIndex(_RunIndex):
     """The index of one sweep.
 
-    The index file ``sweep.json`` contains the sweep's command, start and end time, process, launcher, status, and jobs.
-    A sweep's ``status`` is ``running``, ``finished``, ``interrupted``, or ``failed`` if a job did not finish. A job's
-    ``run`` is its run directory, as a path relative to the sweep's folder. A job that never started has the status
-    ``waiting``.
+    ``status`` is ``running``, ``finished``, ``interrupted``, or ``failed`` if a job did not finish. A job that never
+    started is ``waiting``. The ``run`` of a job is relative to the sweep's folder.
     """
 
     KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
@@ -234,9 +231,7 @@ class SweepIndex(_RunIndex):
 class PipelineIndex(_RunIndex):
     """The index of one pipeline.
 
-    The index file ``pipeline.json`` contains the pipeline's command, config, overrides for all phases, and resumes. A
-    pipeline's ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not
-    pass.
+    ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass.
     """
 
     KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
@@ -254,8 +249,7 @@ class PipelineIndex(_RunIndex):
     ) -> PipelineIndex:
         """Create the folder and the index file of a new pipeline below ``root``, the folder of all runs.
 
-        ``config`` is the pipeline's config as JSON values. ``overrides`` apply to all training phases. ``digests`` maps
-        the name of each training phase to a hash of the phase's config.
+        ``overrides`` apply to all training phases. ``digests`` maps each phase to a hash of its config.
         """
         phases = [
             PhaseEntry(

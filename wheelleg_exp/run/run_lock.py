@@ -20,8 +20,7 @@ _PROC = Path("/proc")
 class ProcessId(TypedDict, total=False):
     """The identity of a process: pid, host, boot id, and its start in clock ticks.
 
-    A new process can have the pid of an ended process, but not the ended process's boot id and start time. On operating
-    systems that do not report a boot id and a process's start time, both values are None.
+    A new process can have the pid of an ended one, but not its boot id and start, which are None if they are unknown.
     """
 
     pid: int | None
@@ -79,9 +78,7 @@ RUN_LOCK, MANIFEST_LOCK = ".lock", ".manifest.lock"
 class RunLock:
     """Lock a run directory for writing, as a context manager, which acquires the lock unless this object has it.
 
-    The kernel releases the lock (``flock``) when the process ends, so a killed process leaves no lock. ``name`` is the
-    name of the lock file in the run directory. ``timeout_s`` is the longest time, s, to wait for the lock while a
-    different process has it.
+    The kernel releases the lock (``flock``) when the process ends. ``timeout_s`` limits the wait for another process.
     """
 
     def __init__(self, directory: os.PathLike[str], *, name: str = RUN_LOCK, timeout_s: float = 0.0) -> None:

@@ -82,12 +82,11 @@ def restore_source(
 ) -> str:
     """Restore the source tree recorded with a run into the new folder ``destination``, and return its git tree id.
 
-    ``repository`` is a git clone that contains the commit of the run's source code. The default clone is the folder in
-    which the run found its source code. ``restore_source`` only reads the clone. ``which`` is 0 for the main repository
-    of the run, and 1 for the first additional repository. ``destination`` becomes a separate git repository that reads
-    the git objects of ``repository``. If the restored and the recorded source files differ, ``destination`` is deleted
-    and an error is raised. No file outside ``destination`` is written, even if the recorded patch contains paths
-    outside ``destination``. A full disk raises SimulationFailure.
+    ``repository`` is a clone that contains the run's commit, by default the folder in which the run found its source;
+    it is only read. ``which`` is 0 for the main repository of the run, and 1 for the first additional one.
+    ``destination`` becomes a git repository that reads the objects of ``repository``. If the restored files differ from
+    the recorded ones, it is deleted and an error is raised. No file outside ``destination`` is written, even if the
+    recorded patch contains such paths. A full disk raises SimulationFailure.
     """
     record = load_source(directory)[which]
     if record.patch is None or record.tree is None:

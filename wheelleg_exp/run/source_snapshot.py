@@ -1,10 +1,9 @@
 """Store the state of the source tree with the run: a commit, a tree id, and a patch that restores the tree.
 
-``git.json`` describes the repository of each source folder; the main repository is the first. The patch
-``source.patch`` contains all changes since the commit, including untracked and binary files. The patch of a second
-repository is ``source_2.patch``. Neither the folder of runs nor any file that git ignores is stored. The snapshot does
-not contain submodules, nested repositories, folders without git, and files that git passes through a filter program
-such as Git LFS. ``git.json`` lists the files that the snapshot lacks, and then contains ``exact: false``.
+``git.json`` describes the repository of each source folder, the main one first. ``source.patch`` contains all changes
+since the commit, including untracked and binary files; ``source_2.patch`` is that of a second repository. Ignored files
+and the folder of runs are not stored. ``git.json`` lists what else is missing (submodules, nested repositories, folders
+without git, and files with a git filter such as Git LFS), and then contains ``exact: false``.
 """
 
 from __future__ import annotations
@@ -39,11 +38,9 @@ def snapshot_source(
 ) -> list[SourceRecord]:
     """Write ``git.json`` and the patches into the run's ``source`` folder, and return the records of ``git.json``.
 
-    ``roots`` contains source folders and single source files; the first is the folder of ``wheelleg_exp``. ``git.json``
-    has one record for each git repository that contains source folders. Untracked files in ``runs_root``, the folder of
-    all runs, are not stored. ``max_patch_mb`` limits, in megabytes (10^6 bytes), the size of each repository's patch
-    and the total size of its untracked files. If a git command fails, the run continues, and ``git.json`` contains a
-    status and a note about the failure.
+    ``roots`` contains source folders and files, first that of ``wheelleg_exp``; each of their repositories gets a
+    record. Untracked files in ``runs_root`` are not stored. ``max_patch_mb`` (10^6 bytes) limits the patch, and the
+    untracked files, of each repository. If git fails, the run continues, and ``git.json`` contains a status and a note.
     """
     records: list[SourceRecord] = []
     for repository, record in _group(roots):

@@ -30,11 +30,9 @@ def start_run(
 ) -> Manifest:
     """Write the manifest of a new run with the status ``running``, and then the snapshot of the run's inputs.
 
-    The manifest is written before the source code is read, so that ``wheelleg list`` shows even a run that is killed at
-    its start. ``hydra_files`` contains the text of each Hydra file by its file name, such as ``config.yaml``.
-    ``source_roots`` contains source folders; the first is the folder of ``wheelleg_exp``. ``threads`` contains the
-    thread counts of torch and the simulation, and torch's description of the CPU. The caller must record the run's end
-    in the returned manifest.
+    The manifest comes first, so that ``wheelleg list`` shows even a run that is killed at its start. ``hydra_files``
+    contains the text of each Hydra file by name, such as ``config.yaml``. The first of ``source_roots`` is the folder
+    of ``wheelleg_exp``. The caller must record the run's end in the returned manifest.
     """
     require_resolved(params)
     manifest = Manifest.begin(directory.path, task=task, seed=seed, command=command, threads=threads)

@@ -1,8 +1,7 @@
 """Trained policies that ship with ``wheelleg_exp``: one zip file each, in ``assets/policies``.
 
-The name ``stock:walk`` stands for the policy in ``walk.zip``. Its first use unpacks the file to a run directory below
-``<root>/stock``. The run directory lacks the log, the source, and the optimiser of the training, so it can be played,
-evaluated, and exported, but not resumed or replayed.
+``stock:walk`` is ``walk.zip``, which its first use unpacks below ``<root>/stock``. Without log, source, and optimiser,
+the run can be played, evaluated, and exported, but not resumed or replayed.
 """
 
 from __future__ import annotations
@@ -26,8 +25,7 @@ def stock_names() -> list[str]:
 def stock_run(name: str, root: Path) -> Path:
     """Return the run directory of a policy that ships with ``wheelleg_exp``, below ``<root>/stock``.
 
-    If the run directory does not exist, ``stock_run`` unpacks the policy's zip file. RunDirectoryError is raised for an
-    unknown name, for a zip file that does not match its SHA-256, and for a run directory whose files were changed.
+    An unknown name, a zip file with another SHA-256, and changed files of the run directory raise RunDirectoryError.
     """
     known = [PREFIX + other for other in stock_names()]
     if PREFIX + name not in known:

@@ -111,10 +111,7 @@ def without_strays(config: Mapping[str, object], files: Sequence[ConfigFile]) ->
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:
-    """For config files at a key that no code reads, add to the error the override or the line that selected the file.
-
-    If a term's file is at a wrong key, remove the additional error that the term has no ``_target_``.
-    """
+    """Name the override or the line that selected a config file in the error that no code reads the file's key."""
     astray: set[str] = set()
     for error in errors:
         key = error.key if isinstance(error, UnreadKey) else None
@@ -146,8 +143,7 @@ def emptied_by(composed: Composed, key: str) -> str | None:
 def check_listed_twice(files: Sequence[ConfigFile], composed: Composed) -> Iterator[ConfigError]:
     """Find terms that are selected twice: by one defaults list, or by a config file and the file that it extends.
 
-    If Hydra merged a term's file again, the file would overwrite later settings of the term. If a config file sets a
-    term to null, a later defaults list can select the term again.
+    Hydra would merge the file again over later settings of the term, or select a term again that a file set to null.
     """
     seen: dict[tuple[str, str], int] = {}
     for index, file in enumerate(files):
@@ -173,10 +169,7 @@ def _sets_null(file: ConfigFile, key: str) -> bool:
 
 
 def check_overwritten(composed: Composed) -> list[ConfigError]:
-    """Find values of a config file that are lost because the file's defaults list names other files after ``_self_``.
-
-    The primary config is skipped.
-    """
+    """Find values of config files, except the primary one, that are lost because files are listed after ``_self_``."""
     loaded = composed.loader.repository_used.loaded
     early = {item.file for name, item in loaded.items() if name != composed.primary and self_before_others(item.file)}
     return [

@@ -31,10 +31,7 @@ class RobotNames:
 
 
 def converted(env: Mapping[str, object], asset_roots: Sequence[Path]) -> Path:
-    """Return the MJCF path of the robot in the config section ``env``; convert the robot if the cache lacks the MJCF.
-
-    A missing robot file, or a file without a robot, raises ConfigError.
-    """
+    """Return the path of the robot's MJCF, converted if not cached; ConfigError for a missing or unusable file."""
     from wheelleg_exp.asset import convert_cached
     from wheelleg_exp.asset.conversion_cache import find_extra_files
 

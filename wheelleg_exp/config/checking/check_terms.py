@@ -1,8 +1,4 @@
-"""Check the terms of a config, and the references from one config section to another section.
-
-Each term needs valid parameters and a ``_target_``, which must be an existing class or function of an allowed package.
-If a term's parameter, such as ``command_name``, names another term, the config must contain this other term.
-"""
+"""Check the terms of a config, and the references from one config section to another section."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Find every mistake in a config without a simulation, and report all of them at once.
-
-The function ``check`` returns the mistakes of a composed config; ``find_mistakes`` composes the config first.
-"""
+"""Find every mistake in a config without a simulation, and report all of them at once."""
 
 from __future__ import annotations
 
@@ -30,8 +27,7 @@ from wheelleg_exp.terms.term_binding import NotAllowed
 def check(composed: Composed) -> list[ConfigError]:
     """Return every mistake in a composed config that can be found without a simulation.
 
-    ``check`` validates config keys, value types and ranges, manager terms, classes in the agent config, joint and body
-    names, and config files. Each returned error contains the file and line, or the override, of the wrong value.
+    Each returned error contains the file and line, or the override, of the wrong value.
     """
     files = composed.loader.files
     misplaced = lists.check_headers(composed, files)
@@ -65,10 +61,7 @@ def check(composed: Composed) -> list[ConfigError]:
 
 
 def _first_causes(errors: Sequence[ConfigError]) -> list[ConfigError]:
-    """Remove errors that another error causes, such as a missing ``weight`` if the config has a misspelled ``wieght``.
-
-    Also remove errors below a key that no code reads, except errors about a ``_target_`` in a forbidden package.
-    """
+    """Remove errors that another one causes, such as a missing ``weight`` if the config has a misspelled ``wieght``."""
     unread = [error for error in errors if isinstance(error, UnreadKey)]
     inside = tuple(f"{error.key}." for error in unread)
     meant = {dotted((*split_path(str(error.key))[:-1], error.nearest)) for error in unread if error.nearest}
@@ -141,8 +134,7 @@ def find_mistakes(
 ) -> tuple[Composed | None, list[ConfigError]]:
     """Compose and check a config, and return the config (None if it has mistakes) and all mistakes.
 
-    ``find_mistakes`` leaves out overrides and files that Hydra cannot compose, and checks the remaining config. An
-    error is not returned if an override or config file that is left out can be the cause of the error.
+    Overrides and files that Hydra cannot compose are left out; errors that these can cause are not returned.
     """
     composed, problems, lost = compose_leniently(overrides, primary, config_dirs)
     behind = [] if composed is None or "" in lost else check(composed)

@@ -1,7 +1,6 @@
 """Compose a config from files and overrides, and apply overrides to a recorded config.
 
-The source of each config value is known: a file and line, or an override. An override of a Hydra setting that has no
-effect in this program raises ConfigError.
+The source of each value is recorded. An override of a Hydra setting that has no effect here raises ConfigError.
 """
 
 from __future__ import annotations
@@ -87,9 +86,8 @@ def _name(key: str) -> str:
 class Composed:
     """A composed config.
 
-    ``config`` is the resolved tree of plain mappings, without the terms that are null. ``raw`` is the read-only
-    OmegaConf config with unresolved ``${...}``; it still contains terms that are null. ``removed_terms`` contains the
-    config paths of the terms that are null. ``hydra`` contains Hydra's own settings, such as ``hydra.searchpath``.
+    ``config`` is the resolved tree of plain mappings, without the null terms in ``removed_terms``. ``raw`` is the
+    read-only OmegaConf config with unresolved ``${...}`` and null terms. ``hydra`` contains Hydra's own settings.
     """
 
     config: dict[str, Any]
@@ -156,8 +154,7 @@ def compose(
 ) -> Composed:
     """Compose the primary config file with overrides, as Hydra does.
 
-    Mistakes in config files, overrides, and interpolations raise one ConfigError. ``config_dirs`` are the user's
-    config folders. If ``launching`` is true, overrides of Hydra settings such as ``hydra.launcher`` raise no error.
+    All mistakes raise one ConfigError. ``launching`` permits overrides of Hydra settings such as ``hydra.launcher``.
     """
     composed, problems, _ = compose_leniently(overrides, primary, config_dirs, launching=launching)
     if problems or composed is None:
@@ -286,10 +283,9 @@ def require_read(
 ) -> None:
     """Raise ConfigError if an override has no effect, because the calling command does not read its config key.
 
-    The function ``read`` takes a config and returns the part of this config that the calling command uses. An override
-    of a config key that the calling command uses is valid, even if the override repeats the key's old value.
-    ``instead`` maps a config key to the advice for errors about this key or its subkeys; ``instead[""]`` is the advice
-    for all other keys.
+    ``read`` returns the part of a config that the calling command uses. An override of such a key is valid, even if it
+    repeats the old value. ``instead`` maps a key to the advice for errors about it or its subkeys; ``instead[""]`` is
+    the advice for all other keys.
     """
     errors: list[ConfigError] = []
     changed = apply_overrides(recorded, overrides)

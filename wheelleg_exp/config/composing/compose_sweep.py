@@ -1,8 +1,4 @@
-"""Compose a sweep: Hydra expands one command line into several jobs, and every job is checked.
-
-The module ``compose_sweep`` lists the Hydra launchers that can run the jobs of a sweep. A launcher starts the jobs: one
-by one, in parallel processes, or in a queue.
-"""
+"""Compose a sweep: Hydra expands one command line into several jobs, and every job is checked."""
 
 from __future__ import annotations
 
@@ -71,11 +67,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class SweepJob:
-    """One job of a sweep.
-
-    ``overrides`` contains all overrides of the sweep job; ``swept`` contains only the overrides that differ between
-    jobs. ``digest`` is the SHA-256 of the job's composed config.
-    """
+    """One job of a sweep: all overrides, those that differ between jobs (``swept``), and the SHA-256 of its config."""
 
     overrides: tuple[str, ...]
     swept: tuple[str, ...]
@@ -87,9 +79,8 @@ class SweepJob:
 class Sweep:
     """The jobs of a sweep, in Hydra's order, and the Hydra launcher that starts the jobs.
 
-    ``n_jobs`` is the number of jobs that run at once, as joblib counts: -1 means one job per core, -2 one job less.
-    With a job queue such as Slurm, ``n_jobs`` is the number of all jobs of the sweep. ``multirun`` is the config that
-    Hydra composes for the sweep as a whole.
+    ``n_jobs`` is the number of parallel jobs, as joblib counts (-1: one per core, -2: one less), or with a queue such
+    as Slurm, the number of all jobs. ``multirun`` is the config that Hydra composes for the sweep as a whole.
     """
 
     jobs: tuple[SweepJob, ...]
@@ -113,8 +104,7 @@ def compose_sweep(
 ) -> Sweep:
     """Expand the overrides into jobs like Hydra's basic sweeper, and compose and check the config of every job.
 
-    Raise one ConfigError that lists the mistakes of all sweep jobs; a mistake of several jobs is listed once.
-    ``progress`` is called with the numbers of checked jobs and of all jobs.
+    One ConfigError lists all mistakes, each once. ``progress`` gets the numbers of checked jobs and of all jobs.
     """
     folders = tuple(config_folder(folder) for folder in config_dirs)
     # Without the package hydra-ray-launcher, Hydra has no config `hydra/launcher/ray`, so register this config.

@@ -1,7 +1,6 @@
 """Compose config files with Hydra's loader, without global Hydra state, and note every mistake instead of the first.
 
-If config files in two folders have the same name, one file needs a ``# @replaces`` line to replace the other file. If
-most files of a config group have a ``# @package`` line, every file of the group must have one.
+Equally named files need a ``# @replaces`` line. If most files of a group have a ``# @package`` line, all need it.
 """
 
 from __future__ import annotations
@@ -249,9 +248,8 @@ def _line_of_message(file: Path, message: str) -> int | None:
 class Loader(ConfigLoaderImpl):
     """A Hydra config loader that notes each mistake, continues without it, and records the source of each value.
 
-    ``problems`` lists the noted mistakes. ``lost`` contains the config keys whose values are unknown because of these
-    mistakes: ``.alive`` means the key ``alive`` in any config section, and an empty text means all keys. ``overrides``
-    contains the accepted overrides, and ``files`` the merged files in Hydra's order.
+    ``lost`` contains the keys whose values are unknown because of the noted ``problems``: ``.alive`` means the key
+    ``alive`` in any section, and an empty text means all keys. ``files`` are the merged files in Hydra's order.
     """
 
     repository_used: Repository
@@ -282,10 +280,7 @@ class Loader(ConfigLoaderImpl):
         from_shell: bool = True,
         validate_sweep_overrides: bool = True,
     ) -> DictConfig:
-        """Compose a config as Hydra does, but continue after a mistake.
-
-        Raise ConfigError for a mistake after which nothing can be composed, such as a cycle of defaults lists.
-        """
+        """Compose a config as Hydra does, but continue after a mistake; ConfigError if nothing can be composed."""
         self.repository_used = Repository(self.repository, self._note_file)
         if problem := hydra_errors.spaced(overrides):
             self.note(problem)

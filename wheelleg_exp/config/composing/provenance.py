@@ -1,8 +1,4 @@
-"""Record the file or override that sets each value of a config, and find the config groups that it selects.
-
-The source of a config value is a file and line, or an override. If several files or overrides set one value,
-``Source.shadowed`` lists the earlier ones, which have no effect.
-"""
+"""Record the file or override that sets each value of a config, and find the config groups that it selects."""
 
 from __future__ import annotations
 
@@ -51,9 +47,8 @@ class ConfigFile:
 class Source:
     """The source of one config value: a line of a file, or an override.
 
-    ``value`` is the config value with unresolved interpolations. ``package`` is the key of the config section into
-    which Hydra puts the content of ``file``. ``shadowed`` lists the sources that this source replaced, oldest first.
-    Sources sorted by ``order`` are in the order in which Hydra first set their keys.
+    ``value`` has unresolved interpolations. ``package`` is the key below which Hydra puts ``file``. ``shadowed`` lists
+    the replaced sources, oldest first. Sorting by ``order`` gives the order in which Hydra first set the keys.
     """
 
     keys: Keys
@@ -88,8 +83,7 @@ _Tree = dict[str, "_Tree | Source"]
 class Provenance(Mapping[str, Source]):
     """The last source (file and line, or override) of each value of a config, by dotted path.
 
-    The loader records each file and each override when Hydra merges it. For each config key that an override removed,
-    ``deleted`` contains a ``Source`` that names the override.
+    ``deleted`` maps each key that an override removed to a ``Source`` that names the override.
     """
 
     def __init__(self) -> None:
@@ -121,8 +115,7 @@ class Provenance(Mapping[str, Source]):
     def where(self, path: str) -> str | None:
         """Return the file and line, or the override, that set the config key ``path``.
 
-        For a config section, return the source of the section's first value. For a missing key, return the source of
-        the nearest existing section that would contain the key.
+        A section has the source of its first value, and a missing key that of the nearest existing section.
         """
         if path in self.deleted:
             return self.deleted[path].where
@@ -203,10 +196,8 @@ class Choice:
 class Mount:
     """A config group, such as ``reward``, and the config key, such as ``env.rewards``, that receives its options.
 
-    ``name`` is the name of the config group in an override, such as ``reward@env.rewards``. ``package`` is the config
-    key below which the group's options are; an empty key means the top of the config. ``choices`` lists all selections
-    of options from the config group, in the order in which Hydra applies them. Each selection replaces the options of
-    the earlier selections, but an override with ``+`` adds an option.
+    ``name`` is the group's name in an override, such as ``reward@env.rewards``; ``package`` is the key, empty for the
+    top. ``choices`` lists all selections in Hydra's order: each replaces the earlier ones, except with ``+``.
     """
 
     name: str

@@ -1,8 +1,7 @@
 """List the values that a config key accepts, for ``wheelleg explain`` and for shell completion.
 
-The module ``alternatives`` does not import torch, because shell completion must be fast. A completion replaces the
-whole unfinished command-line argument. If the completion ends in ``.``, ``=``, ``,``, or ``[``, the user must type the
-rest of the argument.
+The module does not import torch, because shell completion must be fast. A completion replaces the whole unfinished
+argument; if it ends in ``.``, ``=``, ``,``, or ``[``, the user must type the rest.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ from wheelleg_exp.user_exceptions import importing
 class Alternatives:
     """The values that a config key accepts, described as text and, if possible, as a list.
 
-    ``values`` is empty if the valid values of the config key cannot be listed. ``keys`` contains the name and
-    the default value of each optional subkey that the config does not set.
+    ``values`` is empty if they cannot be listed. ``keys`` maps each optional subkey that is not set to its default.
     """
 
     type: str = ""
@@ -146,8 +144,7 @@ class CompletionView:
 def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary: str) -> CompletionView | None:
     """Return the parts of a composed config that shell completion needs, from the cache if possible.
 
-    If Hydra rejects the overrides, use only the override ``task=…``, or otherwise no overrides.
-    Return None if Hydra cannot compose the primary config even without overrides.
+    If Hydra rejects the overrides, use only ``task=…``, or none; return None if the primary config cannot be composed.
     """
     folders = [configs_dir(), *(folder.absolute() for folder in config_dirs)]
     stats = {str(path): path.stat() for folder in folders for path in sorted(folder.rglob("*.yaml"))}

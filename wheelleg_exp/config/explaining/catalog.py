@@ -40,8 +40,7 @@ LIBRARY = "wheelleg_exp.mdp"
 class LibraryTerm:
     """A reward function, an event, or another manager term from ``wheelleg_exp.mdp`` that a config can use.
 
-    ``help`` is the first line of the term's docstring. ``limits`` maps each bounded parameter to a text with its type
-    and bounds.
+    ``help`` is the first line of its docstring. ``limits`` maps each bounded parameter to a text with type and bounds.
     """
 
     section: str
@@ -96,8 +95,7 @@ def signature_of(target: Callable[..., object]) -> str:
 class Entry:
     """One option of a config group.
 
-    ``help`` is the first line of the comment at the top of the option's file, or empty without a comment.
-    ``target`` is the ``_target_`` in the YAML file of a config group's option, or None if the file has no ``_target_``.
+    ``help`` is the first line of the comment at the top of its file, or empty. ``target`` is the ``_target_``, or None.
     """
 
     group: str

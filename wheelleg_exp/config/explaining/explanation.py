@@ -25,8 +25,7 @@ class Meaning:
     """A text that describes a config key, and the place of this text.
 
     ``where`` is the file and line of a comment, or the dotted name of a function or class with a docstring. ``about``
-    is ``key`` if the text describes the config key itself, and ``term`` if it describes the whole term, such as a
-    reward.
+    is ``key`` or, if the text describes the whole term of the key, such as a reward, ``term``.
     """
 
     text: str
@@ -87,10 +86,7 @@ _REFERENCE = re.compile(r"\$\{([^${}:]+)\}")
 
 @dataclass(frozen=True)
 class Reference:
-    """One config key that an interpolation refers to.
-
-    If the value of this config key also contains an interpolation, ``raw`` is the unresolved value, otherwise None.
-    """
+    """One config key that an interpolation refers to; ``raw`` is its own unresolved interpolation, or None."""
 
     path: str
     value: object
@@ -125,10 +121,9 @@ Kind = Literal["value", "term", "section", "group", "not set", "not selected", "
 class Explanation:
     """The explanation of one key.
 
-    ``value`` is the resolved value of a config key, or the default if the config does not set the key. If the value
-    contains an interpolation, ``raw`` is the unresolved value, otherwise None. ``sources`` lists the files and
-    overrides that set or removed the config key, oldest first. ``mount`` is the config group that can set ``key``, such
-    as ``reward``; ``option`` is the option of this group, such as ``alive``.
+    ``value`` is resolved; the default if the config does not set the key. ``raw`` is the unresolved value, or None
+    without an interpolation. ``sources`` lists the files and overrides that set or removed the key, oldest first.
+    ``mount`` is the group that can set the key, such as ``reward``; ``option`` is its option, such as ``alive``.
     """
 
     key: str
@@ -148,10 +143,7 @@ class Explanation:
 
 
 def explain_key(composed: Composed, key: str) -> Explanation:
-    """Explain a config key or a config group of a composed config, or a valid key that the config does not set.
-
-    Raise ConfigError for a key that the config does not contain and that no code reads.
-    """
+    """Explain a key or group of a composed config, or a valid key that is not set; ConfigError for an unknown key."""
     tree = composed.raw_tree
     keys, found = split_path(key), composed.mounts
     explained = keys and (

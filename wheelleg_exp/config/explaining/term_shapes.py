@@ -11,10 +11,9 @@ from wheelleg_exp.config.composing.compose import Composed
 class TermShape:
     """One term of an observation group, or one action term.
 
-    ``width`` is the number of components of the observation or action in one control step. ``history`` is the number of
-    control steps that an observation term stores; 0 means only the present control step. The term's components
-    are the slice ``start:stop`` of the observation or action vector; None if there is no such slice. ``joints``
-    contains the joints that an action term drives, in the order of the term's components.
+    ``width`` is the number of components in one control step. ``history`` is the number of stored steps; 0 means only
+    the present one. ``start:stop`` is the slice of the observation or action vector, or None. ``joints`` contains the
+    joints that an action term drives, in the order of its components.
     """
 
     name: str

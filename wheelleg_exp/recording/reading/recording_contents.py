@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 class Health:
     """The health of a recording's file: how much of the file is readable.
 
-    ``size`` is the file's size in bytes; ``readable`` counts the bytes up to the end of the last complete message.
-    ``is_closed`` is true if the recording has an index. ``damaged`` counts complete messages that cannot be decoded.
-    ``writer`` is the version of Rerun that wrote the recording.
+    ``readable`` counts the bytes up to the end of the last complete message. ``is_closed`` means that an index exists.
+    ``damaged`` counts complete messages that cannot be decoded. ``writer`` is the version of Rerun.
     """
 
     size: int
@@ -78,9 +77,8 @@ class Piece:
 class Contents:
     """The rows of a recording. ``pieces`` maps the path of each Rerun entity to its rows, one ``Piece`` per message.
 
-    ``Contents`` reads complete messages, and raises RunDirectoryError if the file is missing or not a recording.
-    ``recording_id`` must select one recording if the file contains several. If the file was modified (``is_changed``),
-    Rerun's program first copies it, because decoding a modified message can crash this process.
+    A missing or foreign file raises RunDirectoryError. ``recording_id`` must select one of several recordings. Rerun's
+    program first copies a modified file (``is_changed``), because decoding it can crash this process.
     """
 
     def __init__(self, path: Path, recording_id: str | None = None, *, is_changed: bool = False) -> None:
@@ -159,8 +157,7 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
-    Rerun's own program writes the copy, because a damaged message can terminate the process that decodes it.
-    ``closed_copy`` raises RunDirectoryError if Rerun's program cannot write the copy.
+    Rerun's program writes the copy, because decoding can end this process; its failure raises RunDirectoryError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"

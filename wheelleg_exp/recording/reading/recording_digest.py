@@ -22,8 +22,7 @@ LEFT_OUT = (DOCUMENTS, f"{TRAINING}/Perf")
 def entity_digests(path: Path, *, without: Iterable[str] = LEFT_OUT) -> dict[str, str]:
     """Return a sha256 over the rows of each Rerun entity, by the entity's path.
 
-    A sha256 changes if one bit of a number changes. It ignores what differs between equal runs, such as row ids and
-    chunk boundaries. The Rerun entities in ``without`` and all entities below them are omitted.
+    Row ids and chunk boundaries have no effect. ``without`` omits entities and all entities below them.
     """
     contents, left_out = Contents(path), tuple(without)
     names = {entity.strip("/"): entity for entity in contents.pieces}

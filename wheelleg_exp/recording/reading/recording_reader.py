@@ -50,8 +50,7 @@ class Number:
 class Event:
     """One message in the log of a recording.
 
-    ``kind``, the kind of log message, is ``episodes``, ``events``, or ``recording``. ``text`` is the log message
-    without the environment's name. ``level`` is the message's log level, such as ``WARN``. None means: all
+    ``kind`` is ``episodes``, ``events``, or ``recording``; ``level`` is a log level such as ``WARN``. None means: all
     environments, an unknown step or time (s), or no training iteration.
     """
 
@@ -67,8 +66,7 @@ class Event:
 class Recording:
     """A Rerun recording that was read from a file. ``health`` states how much of the recording's file is readable.
 
-    ``Recording`` raises RunDirectoryError if the file is missing, empty, or not a recording. ``recording_id`` must
-    select one recording if the file contains several.
+    ``recording_id`` must select one of several recordings. A missing, empty, or other file raises RunDirectoryError.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
@@ -160,13 +158,11 @@ class Recording:
     def table(self, name: str, env_id: int | None = None) -> pa.Table:
         """Return a table of the rows of a Rerun entity, or of a group of entities such as ``rewards``.
 
-        The table of an entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one
-        list column for each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``.
-
-        The table of a group of entities has ``step``, ``sim_time`` (s), ``iteration`` if recorded, and one float64
-        column for each number. A number that was not recorded at a control step is NaN. If the timeline ``step`` was
-        not recorded, the column ``step`` contains row numbers. By default, ``env_id`` is the first recorded
-        environment. An unknown name raises RunDirectoryError.
+        An entity has the columns ``step``, ``sim_time`` (duration), ``iteration`` if it exists, and one list column for
+        each component by its short name: ``scalars``, ``translation``, ``quaternion``, ``text``. A group has ``step``,
+        ``sim_time`` (s), ``iteration`` if recorded, and one float64 column for each number, NaN where it was not
+        recorded. Without the timeline ``step``, the column contains row numbers. ``env_id`` defaults to the first
+        recorded environment. An unknown name raises RunDirectoryError.
         """
         path = self._resolved(name, env_id)
         return self.rows(path) if self.has_rows(path) else self.numbers(name, env_id)

@@ -23,8 +23,7 @@ class Repaired:
 def repair(path: Path, output: Path | None = None) -> Repaired:
     """Write a repaired copy of a recording, which contains every readable message and an index.
 
-    The default output file is ``<name>.repaired.rrd`` in the folder of the recording. ``repair`` raises
-    RunDirectoryError if the recording is unreadable or the output file already exists.
+    The default is ``<name>.repaired.rrd``. An unreadable recording or an existing output raises RunDirectoryError.
     """
     health = Contents(path).health
     if health.is_whole:

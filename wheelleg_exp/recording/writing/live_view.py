@@ -182,9 +182,8 @@ def main(words: list[str]) -> None:
 class LiveView:
     """Shows a recording in Rerun's viewer while the run writes the recording's file.
 
-    A child process sends the recording to Rerun's viewer. The run only writes the recording's file, so that a slow or
-    broken viewer does not slow down the run. The child process stops with the run, but Rerun's viewer remains open.
-    ``viewer`` is the command of a user-defined viewer, with the placeholder ``{port}`` for the port.
+    A child process sends the file to the viewer, so that a slow or broken viewer does not slow down the run. It stops
+    with the run; the viewer remains open. ``viewer`` is a user-defined command with the placeholder ``{port}``.
     """
 
     def __init__(self, recorder: Recorder, viewer: Sequence[str] | None = None) -> None:

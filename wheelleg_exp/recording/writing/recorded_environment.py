@@ -131,8 +131,7 @@ _PALETTE = [tuple(bytes.fromhex(colour)) for colour in _HEX_COLOURS.split()]
 class RecordedEnvironment:
     """One recorded environment. ``place`` (0, 1, …) is the robot's place in the row of robots in the 3D view.
 
-    Recorded poses are relative to the environment's initial origin, so that the robot starts at the centre of the 3D
-    view. ``stamps`` contains the control step and time of each buffered frame.
+    Poses are relative to the environment's initial origin. ``stamps`` has the control step and time of buffered frames.
     """
 
     def __init__(self, env: ManagerBasedRLEnv, env_id: int, paths: EnvPaths, place: int) -> None:

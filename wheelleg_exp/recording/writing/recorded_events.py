@@ -1,7 +1,6 @@
 """Data that is recorded between frames: ends of episodes, interval events, messages, and training scalars.
 
-Each data chunk in a Rerun file has about 1.5 kB of metadata, so a chunk contains a training scalar of ten iterations.
-The recording of a killed training lacks the last training scalars. ``iterations.jsonl`` contains all training scalars.
+A chunk has about 1.5 kB of metadata, so it contains ten iterations of a scalar; a killed run lacks the last ones.
 """
 
 from __future__ import annotations

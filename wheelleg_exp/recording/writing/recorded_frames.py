@@ -32,8 +32,7 @@ _FREE_VELOCITY = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
 class Channel:
     """A recorded quantity, such as the joint positions: its key, its numbers' names, and a function that reads it.
 
-    ``entities`` lists the Rerun entities that store a recorded quantity: one entity for all numbers, or one entity per
-    number. If ``entities`` is empty, the quantity is buffered, but not written to the recording's file.
+    ``entities`` stores all numbers in one Rerun entity, or each in its own. Without any, the quantity is only buffered.
     """
 
     key: str
@@ -198,8 +197,7 @@ class Episodes:
 class Sample:
     """Chooses which control steps of an environment are recorded. A sample is a recorded sequence of complete episodes.
 
-    After a call of ``begin``, recording starts with the next episode. A resumed run learns from the recording, not from
-    a checkpoint, which control steps were recorded.
+    After ``begin``, recording starts with the next episode. A resumed run reads from the recording what was recorded.
     """
 
     def __init__(self) -> None:
@@ -210,9 +208,8 @@ class Sample:
     def begin(self, enough: int, most: int, *, taken: int, is_in_episode: bool) -> None:
         """Record complete episodes from now on; if a run resumes, ``taken`` control steps are already recorded.
 
-        After ``enough`` control steps, recording stops at the end of the current episode. If ``enough`` is 0, nothing
-        is recorded. After ``most`` control steps, recording stops at once, even in the middle of an episode.
-        ``is_in_episode`` is true if the earlier control steps of the current episode were recorded.
+        After ``enough`` steps (0: record nothing), recording stops at the end of the current episode; after ``most``
+        steps, at once. ``is_in_episode`` is true if the earlier steps of the current episode were recorded.
         """
         self._enough, self._most, self._taken = enough, most, taken
         self._is_in_episode = is_in_episode and enough > 0

@@ -34,17 +34,13 @@ _FACE, _CELL, _TEXTS = 150, 40, 2 * recorded_environment.MEGABYTE
 class Recorder:
     """Writes the motion, numbers, and messages of selected environments to a Rerun file.
 
-    A recorder draws no random numbers and changes no environment state, so rollouts are bitwise equal with and without
-    a recorder. Append ``capture`` to ``env.observers``. Recorded frames stay in memory until ``flush`` writes them to
-    the Rerun file.
-
-    The Rerun file has the timelines ``step`` (control steps), ``sim_time`` (``step`` times the step duration), and, for
-    a training, ``iteration``.
+    A recorder draws no random numbers and changes no state, so rollouts are bitwise equal with and without it. Append
+    ``capture`` to ``env.observers``. Frames stay in memory until ``flush`` writes them to the file, which has the
+    timelines ``step`` (control steps), ``sim_time`` (``step`` times the step duration), and, for a training,
+    ``iteration``.
 
     Args:
-        path, env, env_ids: the file, the environment, and the indices of the recorded environments.
         recording_id: start of the recording's id, such as the run's id; the id ends with a hash of ``path``.
-        name, purpose: the name that the viewer shows, and the purpose that selects the viewer's layout.
         about: additional values of the property ``wheelleg``: run id, task, checkpoint.
         keep_until: the last control step of an existing file that is kept; None refuses an existing file.
         flush_every: frames after which all data is written to the file; None writes only at ``flush``.
@@ -117,8 +113,7 @@ class Recorder:
         """Start or resume a sample: from now on, ``capture`` records complete episodes of each selected environment.
 
         Only episodes that start after the control step ``due`` are recorded. After ``enough`` frames of an environment
-        (0: no frames), recording stops at the end of the environment's current episode. After ``most`` frames,
-        recording stops at once, even in the middle of an episode.
+        (0: no frames), recording stops at the end of its current episode; after ``most`` frames, at once.
         """
         now = self._env.common_step_counter
         for recorded in self._environments:

@@ -22,10 +22,8 @@ from wheelleg_exp.recording.rrd_file import APPLICATION, chunk_file, temporary_f
 class RecordingFile:
     """A growing recording. Added data stays in memory until ``flush`` writes it to the file ``path``.
 
-    If ``aside`` is true, the file has a temporary name until ``take_place`` renames it to ``path``. If closing could
-    not write an index, ``unfinished`` is the reason, such as a full disk; otherwise None. ``RecordingFile`` raises
-    RunDirectoryError if the file ``path`` exists. A method of ``RecordingFile`` raises SimulationFailure if it cannot
-    write to the file.
+    With ``aside``, the file has a temporary name until ``take_place``. ``unfinished`` is the reason if closing could
+    not write an index. An existing file raises RunDirectoryError, and a failed write SimulationFailure.
     """
 
     def __init__(self, path: Path, *, recording_id: str, name: str, aside: bool = False) -> None:

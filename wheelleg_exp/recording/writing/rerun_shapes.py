@@ -50,8 +50,7 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 def shape(model: mujoco.MjModel, geom: int) -> list[rr.AsComponents]:
     """Return Rerun's archetypes of a MuJoCo geom in its body's frame; [] for a plane or signed distance field.
 
-    MuJoCo sizes are half sizes. The origin of a MuJoCo capsule is the capsule's centre. The origin of a Rerun capsule
-    is the centre of one cap, at half the capsule's length along the geom's z axis.
+    MuJoCo's sizes are half sizes. A capsule's origin is its centre in MuJoCo, and the centre of one cap in Rerun.
     """
     kind, place, turn = int(model.geom_type[geom]), model.geom_pos[geom], [xyzw(model.geom_quat[geom])]
     size, shade, types = model.geom_size[geom], [colour(model, geom)], mujoco.mjtGeom
@@ -144,9 +143,8 @@ class VelocityArrows:
 class Ground:
     """Draws a checkered ground that moves with the robot by whole tiles, so that the ground looks infinite.
 
-    ``root`` is the MuJoCo id of the base. ``tile`` is the edge length of a ground tile, m. ``tiles``, the number of
-    tiles along an edge of the ground patch, must be even. ``origin`` is the point of the ground plane below the
-    environment's origin, m.
+    ``root`` is the base's body id, ``tile`` the edge length of a tile, m. ``tiles``, the number along an edge, must be
+    even. ``origin`` is the point of the ground plane below the environment's origin, m.
     """
 
     root: int

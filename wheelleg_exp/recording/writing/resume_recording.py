@@ -27,10 +27,9 @@ _SCALARS = "Scalars:scalars"
 class EarlierRecording:
     """Reads an interrupted run's recording up to the control step from which a new process resumes the run.
 
-    An incomplete last message of the interrupted run's recording is omitted. ``EarlierRecording`` only reads files.
-    ``last`` contains the last row (control step and value) of each entity ``episode/number`` and ``episode/step``.
-    ``steps`` contains all recorded control steps of each entity ``episode/number`` and ``episode/step``.
-    ``EarlierRecording`` raises RunDirectoryError if the recording is damaged or from another program.
+    It only reads files, and omits an incomplete last message. For each entity ``episode/number`` and ``episode/step``,
+    ``last`` contains the last row (control step and value), and ``steps`` all recorded control steps. A recording that
+    is damaged or from another program raises RunDirectoryError.
     """
 
     def __init__(self, path: Path, until: int) -> None:
