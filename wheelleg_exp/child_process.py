@@ -1,11 +1,8 @@
 """Start, serve, and end child processes: jobs, workers, and other programs.
 
-A job trains or evaluates. The child process reads one line with a request from standard input, and writes each event as
-one line of JSON to standard output. A job in a child process stops when its standard input ends, for example because
-the parent process was killed. Each line on a child process's standard error reaches the parent process as a ``note``
-event.
-
-A worker process reads pickled requests from standard input, and answers each with bytes, until the input ends.
+A job trains or evaluates. It reads a request from standard input, writes each event as a line of JSON to standard
+output, and stops when its input ends, for example because the parent process was killed. Each line on its standard
+error becomes a ``note`` event. A worker reads pickled requests and answers each with bytes, until its input ends.
 """
 
 from __future__ import annotations
@@ -86,9 +83,8 @@ _KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
 class Child:
     """The process of a job: it gets a request, sends events, and stops on request.
 
-    The child process leads its own process group, so that Ctrl-C reaches only the parent process. After Ctrl-C, the
-    parent process asks the job to stop after the current training iteration. ``ended`` is the job's last event, which
-    tells how the job ended; None for a running or killed job. ``open`` maps each open pipe to its incomplete last line.
+    It leads its own process group, so that Ctrl-C reaches only the parent, which then asks the job to stop after the
+    current iteration. ``ended`` is the last event, or None. ``open`` maps each open pipe to its incomplete last line.
     """
 
     def __init__(
@@ -289,8 +285,7 @@ def _stop_at_end(source: FileIO, stop: StopRequest) -> None:
 class Worker:
     """A child process whose Python module answers pickled requests with bytes (see ``serve_requests``).
 
-    The child process first receives the startup data ``order``, and sends ``ready`` when it can answer requests. The
-    child process writes its standard error to the empty file ``errors``.
+    It receives ``order``, sends ``ready``, and writes its standard error to the empty file ``errors``.
     """
 
     def __init__(self, module: str, order: object, environ: Mapping[str, str], errors: IO[bytes], folder: Path) -> None:
@@ -360,8 +355,7 @@ def serve_requests(prepare: Callable[[_Order], AbstractContextManager[Callable[[
 def call_limited(function: Callable[..., _T], *arguments: object, key: str, seconds: int, gib: int) -> _T:
     """Return ``function(*arguments)``, computed in a child process with limited CPU time and memory.
 
-    An exception of the function is raised here. RunDirectoryError means that the child process died, for example
-    because the file or config ``key`` needs too much time or memory.
+    An exception of the function is raised here. If the child dies, for example at a limit, raise RunDirectoryError.
     """
     request = pickle.dumps(sys.path) + pickle.dumps((seconds, gib, function, arguments))
     # With -P, the child process imports nothing from the current folder, which can be foreign.

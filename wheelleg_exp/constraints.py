@@ -3,10 +3,9 @@
     def track(env: Env, std: Positive, share: Share = 1.0, span: Interval = (0.0, 1.0)) -> torch.Tensor: ...
     def count(env: Env, steps: Annotated[int, AtLeast(2), AtMost(8)]) -> torch.Tensor: ...
 
-``wheelleg check`` and the code that builds objects from a config enforce the constraints of parameters. The parameters
-of user-defined terms, noise, actuators and sensors are checked like those of the library. A number must be finite
-unless its annotation contains ``MayBeInfinite``. The decorator ``relation`` adds a rule about several parameters to a
-function or class.
+``wheelleg check`` and the code that builds objects from a config enforce them, also for user-defined terms, noise,
+actuators and sensors. A number must be finite unless its annotation contains ``MayBeInfinite``. The decorator
+``relation`` adds a rule about several parameters to a function or class.
 """
 
 from __future__ import annotations
@@ -24,9 +23,8 @@ _V = TypeVar("_V")
 class Constraint(Generic[_V]):
     """A requirement, in the type annotation of a parameter, that the parameter's value must satisfy.
 
-    Error messages show ``form``, such as ``[low, high]``, instead of the expected type's name. Error messages show
-    ``broken``, if not empty, instead of ``VALUE is out of range``. Error messages show ``text``, such as ``not empty``,
-    after the expected type's name.
+    In error messages, ``form``, such as ``[low, high]``, replaces the expected type's name, and ``text``, such as ``not
+    empty``, follows it. If ``broken`` is not empty, it replaces ``VALUE is out of range``.
     """
 
     form: str = ""

@@ -1,8 +1,4 @@
-"""Define every reported number, such as the mean return: its label, its unit, and its meaning.
-
-Commands, plots, reports, and documentation pages show each number with its label and unit from this module.
-``definitions.py`` defines numbers about trainings, evaluated episodes, sessions of manual control, and recordings.
-"""
+"""Define every reported number, such as the mean return: its label, its unit, and its meaning."""
 
 from __future__ import annotations
 
@@ -19,9 +15,8 @@ NOT_FINITE = "a number that is not finite"
 class Definition:
     """The definition of a reported number: its label, its unit, and its meaning.
 
-    ``unit`` is empty for a ratio, a count, and a text. ``meaning`` states which episodes, environments, and steps a
-    reported number covers, and how the number is computed. ``of`` names the episodes or steps over which a mean is
-    taken.
+    ``unit`` is empty for a ratio, a count, and a text. ``meaning`` states which episodes, environments, and steps are
+    covered, and how the number is computed. ``of`` names the episodes or steps over which a mean is taken.
     """
 
     label: str

@@ -29,10 +29,9 @@ _LEAST_PART = 4
 class WheellegError(Exception):
     """An error that the user can understand and that is printed without a traceback.
 
-    ``message`` states the problem in one sentence without a full stop. ``key`` is the config key, USD prim, file or
-    command-line argument that ``message`` is about. ``where`` is the place of the wrong value: ``file:line``, or a
-    command-line override. ``expected`` describes a valid value; ``nearest`` is the valid name most similar to a
-    misspelled name.
+    ``message`` states the problem in one sentence without a full stop, and ``key`` is the config key, USD prim, file or
+    command-line argument. ``where`` is ``file:line``, or an override. ``expected`` describes a valid value; ``nearest``
+    is the valid name most similar to a misspelled name.
     """
 
     exit_code = EXIT_INPUT
@@ -137,8 +136,7 @@ def printable(text: str) -> str:
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name among ``names`` that is most similar to ``name``, or None if no name is similar.
 
-    Prefer a name that differs from ``name`` only in upper and lower case. If no name is similar, return the shortest
-    name that contains ``name``.
+    Prefer a name that differs only in case. Without a similar name, return the shortest one that contains ``name``.
     """
     listed = list(names)
     same = [other for other in listed if other.lower() == name.lower()]

@@ -59,8 +59,7 @@ def while_running() -> Iterator[None]:
 def write_bytes(path: Path, data: bytes | bytearray | memoryview) -> None:
     """Write ``data`` to ``path`` atomically: a reader sees the old file or the complete new one.
 
-    Missing folders are created. A temporary file with ``data`` is synced to the disk, and then renamed to ``path``. A
-    full or broken disk raises SimulationFailure; any other problem with ``path`` raises RunDirectoryError.
+    Missing folders are created. A full or broken disk raises SimulationFailure, any other problem RunDirectoryError.
     """
     temporary = temporary_name(path)
     with for_people(path):
@@ -225,8 +224,7 @@ def temporary_name(path: Path) -> Path:
 def temporary_folder(target: Path) -> Iterator[Path]:
     """Make a temporary folder next to ``target``; remove it after the ``with`` block unless the block has renamed it.
 
-    A killed process leaves its temporary folder behind. The next call of ``temporary_folder`` with the same ``target``
-    removes each temporary folder that no running process has locked.
+    A killed process leaves its folder behind; the next call with ``target`` removes folders that no process has locked.
     """
     for left in target.parent.glob(f".{glob.escape(target.name)}.*{TEMPORARY_SUFFIX}"):
         with contextlib.suppress(OSError), _flocked(left):

@@ -1,8 +1,7 @@
 """The machine's limits: memory, and the cores and environment variables that CPU training uses.
 
-Environment variables such as MKL_CBWR make CPU training repeatable, and must be set before torch is imported. The
-program estimates a lower bound of the memory that a config needs. The program refuses a config that needs more memory
-than the machine has, because the system would kill the process.
+Environment variables such as MKL_CBWR make CPU training repeatable, and must be set before torch is imported. A config
+that needs more memory than the machine has is refused, because the system would kill the process.
 """
 
 from __future__ import annotations
@@ -81,8 +80,7 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 def matrix_kernels() -> str:
     """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    MKL_CBWR makes the results of the library MKL bitwise equal for any number of threads. On CPUs that are not from
-    Intel, MKL ignores the variable MKL_CBWR.
+    MKL_CBWR makes MKL's results bitwise equal for any number of threads; only Intel's CPUs support it.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)
@@ -111,9 +109,8 @@ _SPINS, _SAMPLES = "20000", 3  # 20000 turns of the busy loop take an idle OpenM
 def spins() -> str:
     """Return for how many turns OpenMP's idle threads wait in a busy loop before they sleep.
 
-    If idle threads sleep immediately, a policy update with many short operations takes twice as long. Threads in busy
-    loops slow each other down: two simultaneous trainings would take four times as long. Idle threads wait in a busy
-    loop only if enough CPU cores are free.
+    Without a busy loop, a policy update with many short operations takes twice as long. With busy loops, two
+    simultaneous trainings would take four times as long, so they are used only if enough cores are free.
     """
     try:
         running = []

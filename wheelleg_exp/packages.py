@@ -1,14 +1,13 @@
 """Find user projects, whose ``pyproject.toml`` declares packages for configs, and folders that the user trusts.
 
-A project declares its packages in the entry-point group ``wheelleg_exp.packages``. The entry points of an installed
-project are read from the metadata of its Python distribution. A project that is not installed is found through the
-current folder or the option ``--config-dir``. Hydra reads config files from the folder ``configs/`` of the user's
-project. A package that the user's project declares is imported if a config names a function or class of the package in
-``_target_``. Packages that a project does not declare cannot be imported from the project.
+A project declares its packages in the entry-point group ``wheelleg_exp.packages``. It is found through the metadata of
+its distribution, the current folder, or the option ``--config-dir``. Hydra reads config files from its folder
+``configs/``. A declared package is imported if a config names a function or class of it in ``_target_``; other packages
+cannot be imported from the project.
 
-The paths that are recorded in a run are not trusted, because the run can come from somebody else. A path recorded in a
-run is used only if the path leads to the current project, or to a folder that the user has named with ``--config-dir``.
-Only ``cli/main.py`` adds trusted folders, because only ``cli/main.py`` knows the user's command line.
+A path that is recorded in a run is not trusted, because the run can come from somebody else. It is used only if it
+leads to the current project, or to a folder that the user has named with ``--config-dir``. Only ``cli/main.py`` adds
+trusted folders, because only ``cli/main.py`` knows the user's command line.
 """
 
 from __future__ import annotations
@@ -218,8 +217,7 @@ def join(project: Project) -> None:
 def join_recorded(folders: Sequence[Path], recorded: Sequence[str]) -> list[Path]:
     """Allow configs to call functions of the user projects that contain ``folders`` (default: a run's config folders).
 
-    A run's recorded config folder is used only if it exists, and is trusted or part of the current project.
-    ``left_out`` lists the recorded config folders that are not used.
+    A recorded folder must exist, and be trusted or in the current project; otherwise, ``left_out`` lists it.
     """
     found = [config_folder(folder) for folder in folders] or own_folders(recorded)
     if not folders:

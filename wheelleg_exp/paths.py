@@ -49,8 +49,7 @@ def cache_dir() -> Path:
 def find_asset(name: str, roots: Sequence[Path] = (), *, key: str | None = None, what: str = "robot file") -> Path:
     """Return the file that an asset path in a config names; AssetError lists the searched paths of a missing file.
 
-    A relative asset path is searched below each of the user's ``roots``, then below the stock assets. An error names
-    the config key ``key`` and the file's type ``what``.
+    A relative path is searched below each of ``roots``, then below the stock assets. Errors name ``key`` and ``what``.
     """
     path = Path(name)
     candidates = [path] if path.is_absolute() else [root / path for root in (*roots, assets_dir())]

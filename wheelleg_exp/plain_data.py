@@ -194,9 +194,8 @@ _PlainDumper.add_representer(str, _represent_text)
 def dump_yaml(value: object) -> str:
     """Return ``value`` as YAML text from which ``yaml.safe_load`` restores an equal value.
 
-    ``value`` can consist of mappings with text or integer keys, lists, text, numbers, booleans and None. Any other
-    value raises RunDirectoryError. Numpy scalars, enumerations, and instances of subclasses of ``dict``, ``list``,
-    ``str``, ``int``, or ``float`` raise RunDirectoryError, because YAML would not preserve the subclass.
+    Mappings with text or integer keys, lists, text, numbers, booleans and None are allowed. Any other value raises
+    RunDirectoryError, even a numpy scalar, an enumeration, or a subclass, which YAML would not preserve.
     """
     require_plain(value)
     text: str = yaml.dump(

@@ -158,10 +158,7 @@ def source_document(source: Source) -> dict[str, object]:
 
 
 def together(first: First, other: Other, args: argparse.Namespace, stop: StopRequest) -> int:
-    """Run a command in one of several processes that torchrun has started, and return the exit status.
-
-    The process with rank 0 calls ``first``; all other processes call ``other``, which prints nothing.
-    """
+    """Run ``first`` in rank 0 of torchrun's processes, and the silent ``other`` in the rest; return the exit status."""
     from wheelleg_exp.rl.ranks import FirstRankFailed, joined
 
     with joined() as ranks:

@@ -115,10 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _request(args: argparse.Namespace) -> tuple[list[Policy], list[Policy], list[str], tuple[str, ...]]:
-    """Return the policies, those of ``--against``, the overrides, and the two engines to compare, if any.
-
-    Options that exclude each other raise WheellegError.
-    """
+    """Return the policies, those of ``--against``, the overrides, and the two engines to compare, if any."""
     names = [args.run, *(word for word in args.overrides if not is_override(word))]
     overrides = [word for word in args.overrides if is_override(word)]
     others = [name for name in args.against if name != REFERENCE]

@@ -1,9 +1,7 @@
 """``wheelleg inspect RUN|FILE``: show the contents of a recording, and answer questions about it.
 
-``wheelleg inspect LOG --against RUN`` compares a robot's log with the policy and the simulation of a run.
-
-Without an action such as ``--plot``, ``wheelleg inspect`` prints a summary of the recording. If the user requests
-several actions, ``wheelleg inspect`` runs the actions in the order of the tuple ``ACTIONS``.
+``wheelleg inspect LOG --against RUN`` compares a robot's log with the policy and the simulation of a run. Without an
+action such as ``--plot``, the command prints a summary. Several actions run in the order of ``ACTIONS``.
 """
 
 from __future__ import annotations

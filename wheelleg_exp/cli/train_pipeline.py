@@ -47,8 +47,7 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
     """Return a pipeline and the configs of all phases; check that each phase can evaluate the phase's pass condition.
 
-    ``words`` contains the config overrides of a training pipeline and of all trainings that the pipeline starts. A
-    ConfigError from ``composed_phases`` lists all config mistakes that can be found before the first training starts.
+    One ConfigError lists all mistakes that can be found before the first training starts.
     """
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
 

@@ -87,10 +87,7 @@ _SIZE_PX = (16, 4096)
 
 
 class Pictures:
-    """Renders images of environments one by one, without a change to the states of the environments.
-
-    Images have ``width`` x ``height`` pixels; the render mode None means that no images are rendered.
-    """
+    """Renders images of environments one by one, without a change to the states of the environments."""
 
     def __init__(self, env: ManagerBasedRLEnv, mode: str | None, width: int, height: int) -> None:
         if mode is not None and mode not in RENDER_MODES:

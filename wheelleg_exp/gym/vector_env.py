@@ -29,18 +29,16 @@ _MODES: dict[str, AutoresetMode] = {name: mode for mode, name in _NAMES.items()}
 class WheellegVectorEnv(VectorEnv[Arrays, np.ndarray, np.ndarray]):
     """A task as a Gymnasium vector environment; infos have the layout of ``SyncVectorEnv``.
 
-    ``same_step``: a done environment is reset within the step; ``final_obs`` and ``final_info`` contain the
-    environment's last observation and info, and the returned observation is the first of the next episode.
-    ``next_step``: a done environment is reset in the next step, whose action is ignored and whose reward is 0.
-    ``disabled``: the caller resets done environments with ``reset(options={"reset_mask": ...})``. In the infos, ``log``
-    is the managers' log, averaged over the episodes that ended in the control step. If a reward or the physics becomes
-    NaN or inf, the episode fails with a reward of 0, and ``non_finite`` in the infos lists the config keys of the
-    failed terms.
+    ``same_step``: a done environment is reset within the step; ``final_obs`` and ``final_info`` contain its last
+    observation and info, and the returned observation is the first of the next episode. ``next_step``: a done
+    environment is reset in the next step, whose action is ignored and whose reward is 0. ``disabled``: the caller
+    resets done environments with ``reset(options={"reset_mask": ...})``. In the infos, ``log`` is the managers' log,
+    averaged over the episodes that ended in the step. If a reward or the physics becomes NaN or inf, the episode fails
+    with a reward of 0, and ``non_finite`` in the infos lists the config keys of the failed terms.
 
     Args:
         num_envs: number of environments, N.
-        autoreset_mode: The autoreset mode is ``same_step``, ``next_step``, ``disabled``, or a value of Gymnasium's
-            ``AutoresetMode``.
+        autoreset_mode: ``same_step``, ``next_step``, ``disabled``, or a value of Gymnasium's ``AutoresetMode``.
 
     The arguments from ``task`` to ``height`` have the same meaning as in ``WheellegEnv``.
     """

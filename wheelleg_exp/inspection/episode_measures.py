@@ -23,11 +23,9 @@ _FAILED_LEVELS = ("WARN", "ERROR", "CRITICAL")
 class Episode:
     """One episode of one environment, as far as the episode was recorded.
 
-    ``first_step`` and ``last_step`` are the control steps of the episode's first and last recorded frame. ``iteration``
-    and ``last_iteration`` are the training iterations of the first and last frame; None if no training was recorded.
-    ``duration_s`` is the time from an episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or,
-    if an episode's end was not recorded, ``unfinished``. ``ended_by`` are the names of the termination terms that ended
-    an episode. ``total_reward`` is the sum of all recorded rewards of an episode.
+    Steps and iterations are those of the first and last recorded frame; iterations are None without a training.
+    ``duration_s`` is the time from the episode's start to its last frame. ``outcome`` is ``failed``, ``time out``, or
+    ``unfinished`` if the end was not recorded. ``ended_by`` are the termination terms that ended the episode.
     """
 
     env_id: int
@@ -131,9 +129,8 @@ class TrackingError:
 class ForceExtreme:
     """Statistics of the contact force on one body, measured by one contact sensor.
 
-    ``largest_n`` is the largest force norm, N: over all physics steps if the recording contains peaks, or else at the
-    ends of control steps. ``mean_n`` is the mean force norm at the ends of control steps, N. ``contact_share`` is the
-    share of the recorded frames in which the contact force is not zero.
+    ``largest_n`` is the largest norm, N: over all physics steps if the recording contains peaks, or else at the ends of
+    control steps, like ``mean_n``. ``contact_share`` is the share of the recorded frames with a nonzero force.
     """
 
     sensor: str
@@ -159,8 +156,7 @@ class EffortUse:
 class RewardShare:
     """The contribution of one reward term: its mean (1/s), and its sum over the recorded time.
 
-    ``weight`` is a reward term's configured weight; None if this weight was not recorded. ``share`` is the term's sum
-    of absolute rewards, divided by the same sum over all terms; None if all rewards are 0.
+    ``share`` is the term's sum of absolute rewards over the same sum of all terms; None if all are 0.
     """
 
     term: str

@@ -43,15 +43,13 @@ def export(
 ) -> list[Exported]:
     """Write the numbers of a recording: a folder with one file per group, or one file of selected numbers.
 
-    Every exported table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, and ``env`` for
-    several environments. Each recorded number has a float64 column. A Parquet file stores each column's unit in the
-    field's metadata (``unit``). The Parquet schema's metadata (``wheelleg``) contains the recording's properties. A
-    folder of CSV files contains the units in the file ``units.json``. Numbers in CSV files have the precision of
-    float64. NaN is written as ``nan``. An empty CSV field means that a number was not recorded at the row's control
-    step.
+    Every table has the columns ``step``, ``sim_time`` (s), ``iteration`` for a training, and ``env`` for several
+    environments; numbers are float64 columns. Parquet files store the unit in the field's metadata (``unit``), and the
+    recording's properties in the schema's (``wheelleg``); a folder of CSV files has the units in ``units.json``. In
+    CSV, NaN is ``nan``, and an empty field means that a number was not recorded at the row's step.
 
-    If ``terms`` lists recorded numbers such as ``rewards.base_height``, one file with only these numbers is written.
-    The path ``output`` must not exist. A file or folder appears at ``output`` only when its content is complete.
+    If ``terms`` lists numbers such as ``rewards.base_height``, one file with only these is written. ``output`` must not
+    exist, and appears only when its content is complete.
     """
     if kind not in KINDS:
         raise WheellegError(f"'{kind}' is not a supported export format", key="--export", expected=" or ".join(KINDS))

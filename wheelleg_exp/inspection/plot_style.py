@@ -95,8 +95,7 @@ STYLE: Mapping[RcKeyType, object] = {
 class Panel:
     """One plot of a figure: its title with the unit, a function that draws into axes, and its height in inches.
 
-    A ``wide`` panel occupies a whole row of the figure. In a figure of fixed size, only the ratios of the panels'
-    heights matter.
+    A ``wide`` panel occupies a whole row. In a figure of fixed size, only the ratios of the heights matter.
     """
 
     title: str

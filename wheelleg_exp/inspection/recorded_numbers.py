@@ -1,7 +1,4 @@
-"""Recorded numbers: the selected frames of a recording, numbers by name, and their statistics.
-
-An example of a recorded number's name is ``rewards.base_height``.
-"""
+"""Recorded numbers: selected frames, numbers by name such as ``rewards.base_height``, and their statistics."""
 
 from __future__ import annotations
 

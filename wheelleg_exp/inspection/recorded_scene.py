@@ -103,9 +103,8 @@ class Arrows:
 class Motion:
     """The recorded poses of the robot's bodies in each of n frames.
 
-    ``step``, ``time`` (s), and ``iteration`` (None without a training) have one value per frame, (n,). ``pos`` are the
-    positions of B bodies in m, (n, B, 3), and ``quat`` are the orientations of B bodies as wxyz, (n, B, 4).
-    ``commands`` maps each component of the velocity command to an array (n,).
+    ``step``, ``time`` (s), and ``iteration`` (None without a training) are arrays (n,). ``pos`` (n, B, 3) is in m;
+    ``quat`` (n, B, 4) is wxyz. ``commands`` maps each component of the velocity command to an array (n,).
     """
 
     step: NDArray[np.int64]

@@ -70,10 +70,9 @@ def screenshot(
 ) -> float:
     """Write a picture of the robot atomically and return the picture's simulated time, s.
 
-    ``time_s`` counts from the start of the training iteration ``iteration``, if given. ``at`` is a time such as
-    ``1.5s`` or ``90steps``, or a recorded number, such as ``terminations.base_contact``, that is nonzero at that time
-    first. Without a time, the picture shows the middle of ``iteration``, or of the last recorded interval. An invalid
-    time, picture size, or path raises WheellegError.
+    ``time_s`` counts from the start of ``iteration``, if given. ``at`` is a time such as ``1.5s`` or ``90steps``, or a
+    number, such as ``terminations.base_contact``, that is nonzero there first. By default, the picture shows the middle
+    of ``iteration``, or of the last recorded interval. An invalid argument raises WheellegError.
     """
     _kind(Path(path))
     shown = scenery(recording, env, at, iteration)

@@ -1,7 +1,4 @@
-"""Plots of recordings and robot logs: single plots by name, pages of plots, and overlays of several recordings.
-
-Plots use no global state of matplotlib and need no display. Figures are matplotlib ``Figure`` objects.
-"""
+"""Plots of recordings and robot logs: single plots by name, pages of plots, and overlays of several recordings."""
 
 from __future__ import annotations
 
@@ -40,8 +37,7 @@ _STYLES: tuple[LineStyleType, ...] = ("-", (0, (4, 3)), "-.", ":")
 class Plot:
     """A predefined plot: its name, its title, and a function that returns the plot's panels (none without data).
 
-    ``is_of_all`` is true if the plot shows training scalars, which are not specific to one environment. ``is_of_last``
-    is true if the plot of a training shows only its last recorded interval.
+    With ``is_of_all``, it shows training scalars; with ``is_of_last``, only the last recorded interval of a training.
     """
 
     name: str
@@ -120,8 +116,7 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    Without ``terms``, the figure shows training curves if every recording is of a training, otherwise the robots'
-    motions. ``overlay`` raises RunDirectoryError if the recordings contain no number to plot.
+    ``terms`` defaults to training curves if all are trainings, else to motions. RunDirectoryError without any number.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}

@@ -38,10 +38,9 @@ class Trend:
 class Sample:
     """Statistics of the episodes that were recorded in one interval (sample) of a training, over all environments.
 
-    ``iteration`` and ``last_iteration`` are the training iterations at the control steps ``first_step`` and
-    ``last_step``. ``episodes`` counts complete episodes, ``cut`` counts incomplete episodes. ``survival`` is the share
-    of complete episodes that reached the time-out. ``mean_duration_s`` and ``mean_reward`` are means over complete
-    episodes; None if no episode is complete.
+    ``iteration`` and ``last_iteration`` are those at ``first_step`` and ``last_step``. ``episodes`` counts complete,
+    and ``cut`` incomplete episodes. ``survival`` is the share of complete episodes that reached the time-out. The means
+    are over complete episodes; None without one.
     """
 
     iteration: int
@@ -76,8 +75,7 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Group the recorded episodes of a training by recorded interval (sample), and return statistics of each interval.
 
-    ``longest`` is the maximum episode length in control steps. In each sample, an environment's recording starts at the
-    environment's first reset, within ``longest`` control steps.
+    ``longest`` (control steps): a sample starts with each environment's first reset, at most one episode length later.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):
@@ -132,9 +130,8 @@ class Part:
 class EpisodeFigures:
     """Statistics of recorded episodes; ``failed`` and the later attributes cover only complete episodes.
 
-    ``begun_before`` is the number of episodes that were running when recording started. ``unfinished`` is the number of
-    episodes that were running when recording paused or stopped. ``ended_by`` counts episodes by termination term; an
-    episode that two terms ended counts under a key with both names.
+    ``begun_before`` counts episodes that were running when recording started, and ``unfinished`` those that were
+    running when it paused or stopped. ``ended_by`` counts by term; two terms form a key with both names.
     """
 
     count: int
@@ -154,12 +151,10 @@ class EpisodeFigures:
 class Summary:
     """The content of a recording.
 
-    ``purpose`` is None for a recording that another program wrote. For a training, motion statistics cover only
-    ``sample``, the last recorded interval with a complete episode. ``sample`` is None if the user selected rows or no
-    training was recorded; the statistics then cover all selected rows. ``Summary.frames`` contains two counts: the
-    recorded frames that the summary's statistics cover, and all recorded frames. ``notes`` are messages about the
-    recording itself, such as a size limit that was reached. ``base`` contains statistics of the base's height (m),
-    roll, and pitch (rad).
+    ``purpose`` is None for a recording of another program. For a training, motion statistics cover only ``sample``, the
+    last recorded interval with a complete episode; it is None if the user selected rows, which the statistics then
+    cover. ``frames`` counts the covered and all recorded frames. ``notes`` are messages about the recording itself,
+    such as a reached size limit. ``base`` has statistics of height (m), roll, and pitch (rad).
     """
 
     path: str
@@ -193,8 +188,7 @@ class Summary:
 def summarize(recording: Recording, selection: Selection | None = None) -> Summary:
     """Return the summary of a recording; data that was not recorded is None or an empty list.
 
-    ``selection`` selects the rows of the recording that the statistics cover. By default, training scalars cover the
-    whole training; motion statistics cover only its last recorded interval (``Summary.sample``).
+    By default, scalars cover the whole training, and motion statistics its last recorded interval (``Summary.sample``).
     """
     chosen = View(recording, selection or Selection())
     found = episodes(chosen)

@@ -47,9 +47,8 @@ class Target:
 def find_target(word: str | Path, root: Path, *, play: bool = False) -> Target:
     """Return the file and the run of the recording that a command-line argument, such as ``latest``, names.
 
-    The argument is a recording's file, a folder with a recording such as ``<run>/play/<time>``, or a run: its path, its
-    id, or ``latest``. For a run, ``find_target`` returns the recording of the training. If ``play`` is true, the result
-    is the newest recording that ``wheelleg play`` made of the run.
+    It is a recording's file, a folder with one such as ``<run>/play/<time>``, or a run: its path, its id, or
+    ``latest``. A run means the recording of its training, or with ``play`` the newest one that ``wheelleg play`` made.
     """
     path = Path(word)
     if path.exists() and not names_a_run(word):

@@ -54,10 +54,9 @@ def video(
 ) -> Video:
     """Write a video of the recorded robot atomically to a file: H.264 in an .mp4 file, which browsers can play.
 
-    By default, the video shows the first environment: a few samples of a training in sequence, or all frames of a play
-    or evaluation. ``speed`` is simulated seconds per second: 0.25 is slow motion. ``width`` and ``height`` of the video
-    are even numbers of pixels. ``progress`` is called with the number of finished video frames and the total number of
-    video frames. ``video`` raises WheellegError for an invalid argument.
+    By default, it shows the first environment: a few samples of a training in sequence, or all frames of a play or
+    evaluation. ``speed`` is simulated seconds per second. ``width`` and ``height`` are even numbers of pixels.
+    ``progress`` gets the numbers of finished and of all frames. An invalid argument raises WheellegError.
     """
     path = Path(path)
     if path.suffix.lower() not in video_file.KINDS:

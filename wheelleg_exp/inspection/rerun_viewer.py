@@ -1,8 +1,7 @@
 """Rerun's viewer with one recording: in a window, in a browser, or as a screenshot.
 
-Rerun's viewer and the web server listen on the loopback address only. The page of the web viewer loads nothing from
-other hosts: the server removes the fonts and usage statistics of Rerun's page, and a content security policy stops the
-browser from requesting them.
+Viewer and web server listen on the loopback address only. The web page loads nothing from other hosts: the server
+removes fonts and usage statistics, and a content security policy stops the browser from requesting them.
 """
 
 from __future__ import annotations

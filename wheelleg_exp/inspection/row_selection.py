@@ -50,9 +50,8 @@ def parse_length(text: str, key: str) -> Length:
 class Selection:
     """A selection of a recording's rows by environment, training iterations, and time, with inclusive bounds.
 
-    An attribute of ``Selection`` that is None restricts nothing; ``env_id=None``, for example, selects all
-    environments. Times up to half a control step outside ``begin`` and ``end`` (s) are also selected, because users
-    enter rounded times.
+    An attribute that is None restricts nothing. Times up to half a control step outside ``begin`` and ``end`` (s) are
+    also selected, because users enter rounded times.
     """
 
     env_id: int | None = None

@@ -36,8 +36,7 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) is a mask of further failed environments, such as environments with NaN rewards. On a GPU
-        with ``at_once=False``, only ``late`` returns the environments in ``also_failed``, so that ``ids`` is faster.
+        ``also_failed`` (N,) marks NaN rewards, for example. On a GPU without ``at_once``, only ``late`` returns them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)
@@ -77,8 +76,7 @@ class AsyncMaskQuery:
 def is_finite(total: torch.Tensor) -> bool:
     """Return whether a number (a tensor with one element) is finite.
 
-    For a GPU tensor, ``is_finite`` usually returns True without waiting for the GPU. Once a call detects NaN or inf,
-    the next 256 calls of ``is_finite`` wait for the GPU and are exact.
+    On a GPU, it usually returns True without waiting. After NaN or inf, the next 256 calls wait and are exact.
     """
     if not total.is_cuda:
         return math.isfinite(float(total))

@@ -1,7 +1,6 @@
 """Bind manager terms to their functions, and define the base class of all managers.
 
-When the environment is built, each term of the config is bound once to its function or class (``_target_``).
-``ManagerBase`` lists, prints, resets, saves, and restores the terms of one config section.
+Each term is bound once to its function or class (``_target_``), when the environment is built.
 """
 
 from __future__ import annotations

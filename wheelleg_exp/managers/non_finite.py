@@ -1,7 +1,4 @@
-"""Detect NaN and inf, name the manager term that produced NaN or inf, and save the state that led to it.
-
-To save time, each value is checked only if the sum of all rewards or observations of a control step is not finite.
-"""
+"""Detect NaN and inf, name the manager term that produced NaN or inf, and save the state that led to it."""
 
 from __future__ import annotations
 
@@ -36,10 +33,9 @@ def failed_rows(values: torch.Tensor) -> torch.Tensor:
 def failures(env: Env, env_ids: torch.Tensor) -> dict[str, Any]:
     """Return a dictionary with the entries ``keys`` and ``evidence`` about NaN or inf in the environments ``env_ids``.
 
-    ``keys`` maps each failed environment's index to the config keys of the terms with NaN or inf. The entry
-    ``evidence`` contains the states of the failed environments. If an environment's physics fails, its rewards can
-    become NaN, too, but ``keys`` then lists no reward terms. The same holds for an action that is NaN, inf, or larger
-    than ``LARGEST_ACTION``.
+    ``keys`` maps the index of each failed environment to the config keys of the terms with NaN or inf, and ``evidence``
+    contains the states. Reward terms are not listed if the physics failed, or if an action was not finite or larger
+    than ``LARGEST_ACTION``, because rewards can then become NaN, too.
     """
     bad_actions = set(ids_where(~(env.action_manager.action.abs() <= LARGEST_ACTION).all(dim=1)).tolist())
     chosen = set(env_ids.tolist())
@@ -78,10 +74,7 @@ def evidence(env: Env, ids: torch.Tensor, **more: torch.Tensor) -> dict[str, tor
 
 
 def require_finite_writes(env: Env, path: str, asked: Collection[str], ids: torch.Tensor | None) -> None:
-    """Raise SimulationFailure if the event at the config key ``path`` wrote NaN or inf in the environments ``ids``.
-
-    Each name in ``asked`` is a field of the MuJoCo model, or an external wrench, that the event may have changed.
-    """
+    """Raise SimulationFailure if the event at the key ``path`` wrote NaN or inf to model fields or wrenches."""
     rows = slice(None) if ids is None else ids
     written = env.scene.written(asked) if asked else {}
     if may_fail([env.scene.sim.total(rows), *(values[rows].sum() for values in written.values())]):
@@ -104,8 +97,7 @@ def note_observations(env: Env) -> None:
 def require_finite_observations(env: Env, only: torch.Tensor | None = None, is_noted: bool = False) -> None:
     """Raise SimulationFailure if observations contain NaN or inf.
 
-    The raised SimulationFailure names the first observation term with NaN or inf. ``only`` (N,) bool selects
-    environments. Set ``is_noted`` if ``note_observations`` was called for the present observations.
+    It names the first such term. ``only`` (N,) bool selects environments. Set ``is_noted`` after ``note_observations``.
     """
     if is_noted and env.device.type == "cuda" and finite_watch(env.device).is_calm():
         return

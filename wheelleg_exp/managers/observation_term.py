@@ -31,8 +31,7 @@ class Values:
 class ObservationTerm(Stateful):
     """One observation term, computed in the order ``func -> delay -> modifiers -> noise -> clip -> scale -> history``.
 
-    ``corrupt`` is the observation group's setting ``enable_corruption``, which turns noise on. ``history_length`` 0
-    means no history.
+    ``corrupt``, the group's setting ``enable_corruption``, turns noise on. ``history_length`` 0 means no history.
     """
 
     def __init__(self, term: Term, env: Env, corrupt: bool, history_length: int, flatten: bool) -> None:

@@ -50,10 +50,7 @@ class Rows:
 
 
 def recorded_arrays(returned: object, rows: int, source: str, code: object) -> Arrays:
-    """Return the tensors that a recorder's method returned as arrays by key; a mapping gives keys like ``key/name``.
-
-    Errors contain ``source``, the name of the recorder's method, and the file and line of ``code``.
-    """
+    """Return the tensors from a recorder as arrays by key, or by ``key/name``; errors name ``source`` and ``code``."""
     arrays, found = {}, described(returned)
     if isinstance(returned, tuple) and len(returned) == 2:
         for key, value in () if returned[1] is None else _flatten(*returned):
@@ -113,10 +110,9 @@ class RecorderTerm(TermBase):
 class RecorderManager(ManagerBase):
     """Splits recorded rows into episodes, and passes finished episodes to the writer of the dataset.
 
-    A dataset holds complete episodes. If an environment's state was loaded during an episode, the dataset omits the
-    episode, whose start is missing. Recorded rows are not state of the environment: a checkpoint is the same with and
-    without recorders. In Gymnasium's autoreset mode ``next_step``, the extra step that resets an environment is the
-    episode's last step.
+    A dataset holds complete episodes, so an episode in which a state was loaded is omitted. Recorded rows are not
+    state: a checkpoint is the same with and without recorders. In Gymnasium's autoreset mode ``next_step``, the extra
+    step that resets an environment is the episode's last step.
     """
 
     kind = "recorders"
@@ -210,11 +206,10 @@ class RecorderManager(ManagerBase):
     def take(self) -> dict[str, Arrays]:
         """Return a dictionary ``{group: {name: array}}`` of the episodes that ended since the last call of ``take``.
 
-        With ``export_mode: all``, the only group of episodes is ``episodes``; otherwise, the groups are ``succeeded``
-        and ``failed``. ``episode/env``, ``episode/length``, ``episode/last_step``, and ``episode/success`` are arrays
-        with one number per episode. ``episode/length`` counts an episode's control steps, ``episode/last_step`` all
-        control steps of the environment so far. Each recorded quantity is one array with the rows of all episodes;
-        ``rows/<key>`` has the number of rows per episode.
+        With ``export_mode: all``, the only group is ``episodes``; otherwise, the groups are ``succeeded`` and
+        ``failed``. ``episode/env``, ``episode/length``, ``episode/last_step`` (control steps of the environment so
+        far), and ``episode/success`` have one number per episode. Each recorded quantity is one array with the rows of
+        all episodes; ``rows/<key>`` has the number of rows per episode.
         """
         found = {group: _joined(episodes) for group, episodes in self._finished.items()}
         self._finished = {}

@@ -1,7 +1,6 @@
 """Check that the return value of a term has the required form.
 
-The first return value of each term is checked for its type, shape, and device. From a term's second call on, only the
-shape of the term's return value is checked.
+The first return value of a term is checked for type, shape, and device; later ones only for their shape.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Store the last samples of observation terms as histories, oldest sample first, and delay observations.
 
 Each new sample creates a new tensor, so that returned histories never change. The first sample of an episode fills the
-whole history, as in Isaac Lab. The argument ``first`` contains the environments in which an episode starts, as indices
-or a mask (N,); None means no environment.
+whole history, as in Isaac Lab. ``first`` marks these environments as indices or a mask (N,); None for no environment.
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ class HistoryBuffer(Stateful):
 class RowHistory(Stateful):
     """Stores the histories of several observation terms in one row per environment: term by term, oldest sample first.
 
-    ``widths`` has the number of elements in one sample of each observation term. ``lengths`` has the number of samples
-    in each term's history; for 0, only the newest sample is stored.
+    ``widths`` are the sizes of the terms' samples. ``lengths`` are numbers of samples; 0 stores only the newest.
     """
 
     def __init__(self, num_envs: int, widths: Sequence[int], lengths: Sequence[int], device: torch.device) -> None:

@@ -1,7 +1,4 @@
-"""Create a user's project: write a draft, check the draft, and move it to its place.
-
-The folder, Python package, task, and robot of a project have the name of the project.
-"""
+"""Create a user's project: write a draft, check the draft, and move it to its place."""
 
 from __future__ import annotations
 
@@ -152,9 +149,8 @@ def require_robot_file(source: Path) -> None:
 def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
     """Create a project in the new folder ``place``; the folder's name is the name of the project.
 
-    ``source`` is the robot's USD or URDF file, by default the file of the stock robot. If ``allow_missing`` is true,
-    files of the robot's colliders may be missing. An invalid name, place, or robot file raises WheellegError, and the
-    partly created project is removed.
+    ``source`` is a USD or URDF file, by default that of the stock robot. ``allow_missing`` permits missing collider
+    files. An invalid name, place, or robot file raises WheellegError, and the partly created project is removed.
     """
     path = require_place(place)
     name = path.name

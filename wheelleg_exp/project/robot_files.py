@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 def copy_robot(source: Path, folder: Path) -> Path:
     """Copy a robot file, and every layer, texture, or mesh to which the file refers, to ``folder``.
 
-    Copied files keep their paths relative to the robot file. Files from outside the robot file's folder get new paths,
-    which the copied robot file then names. ``copy_robot`` returns the path of the copied robot file.
+    Relative paths remain; files from outside the folder get new paths, which the copy names. Return the copy's path.
     """
     folder.mkdir(parents=True)
     return _copy_urdf(source, folder) if is_urdf(source, {}) else _copy_usd(source, folder)

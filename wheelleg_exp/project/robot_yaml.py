@@ -1,7 +1,4 @@
-"""Write the robot YAML file of a project from measurements of the robot.
-
-The robot file gives the gains and limits of the drives; missing values are estimated from the inertias of the links.
-"""
+"""Write the robot YAML file of a project from measurements of the robot."""
 
 from __future__ import annotations
 
@@ -42,9 +39,8 @@ _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that 
 class Gains:
     """The gains and limits of a group of actuators; dictionaries such as ``stiffness`` map joint names to values.
 
-    Units: stiffness N·m/rad, damping N·m·s/rad, effort (largest torque) N·m, velocity (largest speed) rad/s. ``given``
-    names the fields, such as ``stiffness``, whose values are all from the robot file. ``refused`` lists unusable gains
-    and limits of the robot file, with the reasons.
+    Units: stiffness N·m/rad, damping N·m·s/rad, effort N·m, velocity rad/s. ``given`` names the fields whose values are
+    all from the robot file. ``refused`` lists unusable values of the robot file, with the reasons.
     """
 
     stiffness: dict[str, float]
@@ -58,10 +54,9 @@ class Gains:
 def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
     """Return the gains of position-controlled joints, which are the leg joints by default.
 
-    By default, a joint has a bandwidth of 3 Hz and a damping ratio of 0.7 under load. The default stiffness of a joint
-    limits the position error under the robot's weight to 0.05 rad. The default effort limit is three times the torque
-    that carries the robot's weight. A stiffness from the robot file is not used if it is too small for the robot's
-    weight, too large for the effort limit, or unstable with the physics time step.
+    The defaults: a bandwidth of 3 Hz and a damping ratio of 0.7 under load, a position error of at most 0.05 rad under
+    the weight, and three times the torque that carries the weight. A stiffness from the robot file is not used if it is
+    too small for the weight, too large for the effort limit, or unstable with the physics time step.
     """
     dofs, refused, untaken = robot.dofs, list[str](), set[str]()
     held = robot.legs if joints is None else list(joints)
@@ -105,11 +100,10 @@ def leg_gains(robot: Survey, joints: Sequence[str] | None = None) -> Gains:
 class _Load:
     """The inertias and torques from which the default gains of a leg joint are computed.
 
-    ``inertia`` (kg·m²) is the inertia that the joint's torque accelerates while all other joints are free. ``carried``
-    (kg·m²) is the inertia of the mass that the joint carries, as a point mass at the lever of the weight. ``holds_now``
-    (N·m) is the joint's torque that holds the robot in its default pose. ``hold`` (N·m) is the larger of ``holds_now``
-    and the torque of the weight at a lever of a quarter of the leg's length. ``stiffest`` (N·m/rad) is the stiffness at
-    which the undamped joint oscillates at one radian per physics step.
+    ``inertia`` (kg·m²) is what the torque accelerates while all other joints are free. ``carried`` (kg·m²) is that of
+    the carried mass, as a point at the lever of the weight. ``holds_now`` (N·m) holds the default pose; ``hold`` is the
+    larger of it and the torque of the weight at a lever of a quarter of the leg's length. At the stiffness ``stiffest``
+    (N·m/rad), the undamped joint oscillates at one radian per physics step.
     """
 
     inertia: float
@@ -332,10 +326,7 @@ def word(name: str) -> str:
 
 
 def names(values: Sequence[str], indent: int, used: int = 0) -> str:
-    """Return joint or body names as a YAML list, on several lines if the list is long.
-
-    The list starts after ``used`` characters; each further line is indented by ``indent`` spaces.
-    """
+    """Return names as a YAML list, which starts after ``used`` characters; further lines have ``indent`` spaces."""
     items = [word(name_expression(value)) for value in values]
     line = "[" + ", ".join(items) + "]"
     if used + len(line) <= WIDTH:

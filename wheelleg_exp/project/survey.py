@@ -46,11 +46,9 @@ _LEAN = math.radians(0.5)  # Smaller leans are ignored.
 class Standing:
     """How a robot stands.
 
-    ``frame`` (w, x, y, z) rotates the root link's frame so that x points forwards and z upwards. ``frame`` is None if
-    the root link's frame in the robot file already has x forwards and z upwards. ``rotation`` is the rotation of the
-    root link in the world (w, x, y, z). ``positions`` maps leg joints to standing positions, rad or m. ``stance``
-    describes how a robot stands on wheels; None without wheels. ``lean`` is the pitch of the base, rad, positive if the
-    front is lower.
+    ``frame`` (w, x, y, z) rotates the root link's frame so that x points forwards and z upwards; None if they already
+    do. ``rotation`` (w, x, y, z) is that of the root link in the world. ``positions`` maps leg joints to positions, rad
+    or m. ``stance`` is None without wheels. ``lean`` is the pitch of the base, rad, positive if the front is lower.
     """
 
     frame: Quaternion | None
@@ -100,16 +98,13 @@ _EXPECTED = "a robot with joints to drive and colliders to stand on"
 class Survey:
     """A robot and its dimensions in its default pose.
 
-    ``dofs`` maps joint names to degrees of freedom, in breadth-first order. ``legs`` contains the driven joints between
-    base and wheels; for a robot without wheels, all driven joints. ``held`` contains the driven joints that no action
-    of the policy moves, such as the joints of an arm. ``passive`` joints have no drive. ``positions`` contains the
-    joint positions of the default pose, rad or m. ``standing`` is the computed standing pose, or None if the caller of
-    ``survey`` gave joint positions. ``overlaps`` maps pairs of link names to the depth, m, by which the two links
-    overlap. ``size`` is the height of the root link or of the centre of
-    mass, m, whichever is larger. ``up`` is the axis of the root link that points upwards. ``trunk`` is the heaviest
-    link that is fixed to the root link. ``trunk_mass`` is the mass of the trunk, kg. ``wheel_bodies`` touch the ground.
-    ``raised_bodies`` have colliders but do not touch the ground. ``notes`` contains warnings about the robot for the
-    user.
+    ``dofs`` maps joint names to degrees of freedom, breadth first. ``legs`` contains the driven joints between base and
+    wheels, or without wheels all driven joints; ``held``, driven joints that no action moves, such as those of an arm.
+    ``passive`` joints have no drive. ``positions`` is the default pose, rad or m; ``standing`` is the computed pose, or
+    None if the caller gave positions. ``overlaps`` maps pairs of links to the depth, m, by which they overlap. ``size``
+    is the height of the root link or of the centre of mass, m, whichever is larger. ``up`` is the axis of the root link
+    that points upwards. ``trunk`` is the heaviest link that is fixed to the root link; ``trunk_mass`` is in kg.
+    ``wheel_bodies`` touch the ground; ``raised_bodies`` have colliders, but do not. ``notes`` warn the user.
     """
 
     dofs: dict[str, Dof]
@@ -142,10 +137,9 @@ def survey(
 ) -> Survey:
     """Convert a robot, find the role of each joint, choose a default pose, and measure the robot in this pose.
 
-    ``env`` contains the sections ``sim`` and ``scene`` of a task's config. ``pose`` maps regular expressions of joint
-    names to positions, which replace those of the robot file. If ``allow_missing`` is true, wheels and collider files
-    may be missing. An unreadable file, or a robot without joints, with a ball joint, with a fixed base, or of an
-    implausible size raises AssetError.
+    ``env`` contains the sections ``sim`` and ``scene``. ``pose`` maps expressions of joint names to positions, which
+    replace those of the file. ``allow_missing`` permits missing wheels and collider files. An unreadable file, or a
+    robot without joints, with a ball joint, a fixed base, or an implausible size raises AssetError.
     """
     with tempfile.TemporaryDirectory() as folder, named_as(Path(folder) / "model.xml", source):
         conversion = convert(source, Path(folder) / "model.xml", base="floating")

@@ -38,11 +38,10 @@ def make_report(
 ) -> Report:
     """Write the HTML report of one run, or one report that compares several runs.
 
-    ``run`` names one or more training runs (path, id, or ``latest``), sweeps, or folders of zero or random agents'
-    runs. The default report file is ``report.html`` in the run directory or sweep folder, or ``comparison.html`` for
-    several runs. ``command`` is the command line that the run's manifest records. If ``pictures`` is true, the report
-    shows pictures of the robot. ``make_report`` raises WheellegError if a run does not exist or the report cannot be
-    written. ``make_report`` overwrites only an earlier report of the same run.
+    ``run`` names training runs (path, id, or ``latest``), sweeps, or folders of zero or random agents' runs. The
+    default file is ``report.html`` in the run or sweep folder, or ``comparison.html`` for several runs. Only an earlier
+    report of the same run is overwritten. The manifest records ``command``. A missing run or a failed write raises
+    WheellegError.
     """
     from wheelleg_exp.report.pictures_section import Look
     from wheelleg_exp.report.provenance_section import judge

@@ -1,7 +1,6 @@
 """Draw matplotlib plots as SVG images of an HTML page.
 
-``drawn`` draws each plot panel as a separate image that fits a phone screen; the panel's title becomes HTML text. The
-page contains each SVG as an ``<img>`` with a data URI, in which a browser neither runs scripts nor loads files.
+Each panel is an image that fits a phone screen: an ``<img>`` with a data URI, which runs no scripts and loads no files.
 """
 
 from __future__ import annotations

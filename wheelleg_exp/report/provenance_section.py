@@ -1,8 +1,4 @@
-"""Build the sections of a report on the provenance and reproducibility of a run.
-
-The report lists the source code, machine, threads, versions, robot conversion, resumes, and files of a run. One section
-checks the run's files against manifest.json, and compares the run with trainings of equal settings and seed.
-"""
+"""Build the sections of a report on the provenance and reproducibility of a run."""
 
 from __future__ import annotations
 

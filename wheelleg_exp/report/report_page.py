@@ -1,7 +1,6 @@
 """Assemble, render, and write the HTML page of a report.
 
-If a section of the report cannot be built, the page shows the error in place of this section. A new report overwrites
-only an earlier report of the same run.
+A section that cannot be built shows the error. Only an earlier report of the same run is overwritten.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The page of several runs or of a sweep: the best setting, and how certain that result is.
-
-The report page groups runs by their settings, and shows the spread over the training seeds of each group.
-"""
+"""The page of several runs or of a sweep: the best setting, and how certain that result is."""
 
 from __future__ import annotations
 
@@ -82,8 +79,7 @@ def _below(key: str, keys: Sequence[str]) -> bool:
 def sentence(groups: Sequence[Group]) -> str:
     """Return the headline: the number of runs, and the group with the highest mean return.
 
-    If the runs differ in rewards, episode length, or discount, the report's headline compares time-out shares instead
-    of returns. Without recorded time-outs, the report's headline compares survival rates of ``wheelleg play``.
+    If rewards, episode length, or discount differ, it compares time-outs, or else survival in ``wheelleg play``.
     """
     text = f"{counted(sum(len(group.runs) for group in groups), 'run')} with {counted(len(groups), 'setting')}."
     if len(groups) < 2:
@@ -211,8 +207,7 @@ COMPARISON = "comparison.html"
 def open_several(names: Sequence[str | Path], root: Path) -> tuple[Subject, list[Subject]] | None:
     """Open several runs, and return the folder of their report and the runs; return None if ``names`` is a single run.
 
-    The report's folder is the sweep's folder, or, without a sweep, the current folder. ``names`` contains the paths or
-    ids of runs and sweeps; ``latest`` means the latest run.
+    The folder is the sweep's, or else the current one. ``names`` are paths or ids of runs and sweeps, or ``latest``.
     """
     sweeps = [None if str(name) == "latest" else find_sweep(str(name), root) for name in names]
     if len(names) == 1 and sweeps[0] is None:

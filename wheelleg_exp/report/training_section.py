@@ -1,7 +1,4 @@
-"""Report sections on training: curves over iterations, ends of episodes, the optimiser, and reward terms.
-
-The report lists each reward term with its weight and its contribution at the end of training.
-"""
+"""Report sections on training: curves over iterations, ends of episodes, the optimiser, and reward terms."""
 
 from __future__ import annotations
 

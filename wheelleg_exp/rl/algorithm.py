@@ -84,10 +84,7 @@ def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:
 
 
 def _seen(agent: Learning, observations: TensorDict, options: SymmetryOptions) -> list[str]:
-    """Return the observation groups that need mirror images: those of actor, critic, and RND.
-
-    RND (random network distillation) rewards new states, and the mirror image of a known state must not count as new.
-    """
+    """Return the observation groups that need mirror images: those of actor, critic, and RND."""
     novel = options.mirrored_envs and agent.algorithm.get("rnd_cfg")
     roles = ("actor", "critic", "rnd_state") if novel else ("actor", "critic")
     sets = {role: [role if role in observations else "policy"] for role in roles} | agent.obs_groups

@@ -120,10 +120,7 @@ def require_resumable(state: Mapping[str, object]) -> None:
 
 
 def _rebuilt(value: object) -> object:
-    """Return a deep copy of nested containers in which no object is shared.
-
-    Equal states must give equal bytes, but pickle writes an object only once if the state contains it twice.
-    """
+    """Return a deep copy of nested containers without shared objects, so that equal states give equal pickled bytes."""
     if isinstance(value, torch.Tensor):
         return value.detach().clone(memory_format=torch.contiguous_format)
     if isinstance(value, Mapping):

@@ -17,9 +17,8 @@ from wheelleg_exp.errors import ConfigError
 def no_global_draws(*generators: str) -> Iterator[None]:
     """Raise ConfigError if the body draws from a global generator: ``torch``, ``numpy``, ``python`` (default: all).
 
-    The policy draws its exploration noise from torch's global generator. A manager term that draws from torch's global
-    generator would change the policy's exploration noise. The global generators of NumPy and Python are not seeded, so
-    their random numbers differ between runs.
+    A manager term that draws from torch's global generator would change the policy's exploration noise. The generators
+    of NumPy and Python are not seeded, so their numbers differ between runs.
     """
     watched = generators or tuple(_STATES)
     before = [_STATES[name]() for name in watched]

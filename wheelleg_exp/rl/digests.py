@@ -1,7 +1,6 @@
 """Short digests of a training's state: each iteration logs them, and a checkpoint must agree with them.
 
-Digests depend on names, types, shapes, and bytes only: two states have equal digests if and only if they are equal bit
-for bit.
+Digests depend on names, types, shapes, and bytes only: they are equal if and only if states are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -26,10 +25,9 @@ _LABELS = ("format_version", "iter", "infos", "ranks")
 def of_state(state: Mapping[str, Any]) -> dict[str, str]:
     """Return one digest (hash) for each part of a checkpoint, by the name of the part.
 
-    ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: the environment
-    without random streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums.
-    ``mean``: the averaged weights, if there are any. ``rest``: all remaining parts. In a training with several
-    processes (ranks), each digest (hash) covers the state of all ranks.
+    ``parameters``: the networks. ``optimizer``: its state with the learning rate. ``environment``: without random
+    streams. ``streams``: the random streams and torch's generators. ``log``: the running episode sums. ``mean``: the
+    averaged weights, if any. ``rest``: all remaining parts. Each digest covers the state of all processes (ranks).
     """
     first = {name: tree_digest(part) for name, part in _parts(state).items()}
     return joined(first, [of_state(other) for other in state.get("ranks") or ()])

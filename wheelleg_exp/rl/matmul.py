@@ -151,8 +151,7 @@ def _is_large(layer: nn.Linear) -> bool:
 def linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, elu: bool = False) -> torch.Tensor:
     """Return the output (..., O) of a linear layer, computed from inputs and weights that are rounded to bfloat16.
 
-    The input ``x`` (..., I) is float32 or bfloat16, and ``bias`` (O,) is added in float32. If ``elu`` is True, the
-    activation ELU (alpha 1) is applied, and the output is bfloat16; otherwise, the output is float32.
+    ``x`` (..., I) is float32 or bfloat16; ``bias`` (O,) is added in float32. With ``elu`` (alpha 1), return bfloat16.
     """
     apply: Callable[..., torch.Tensor] = _Linear.apply
     return apply(x.reshape(-1, x.shape[-1]), weight, bias, elu).reshape(*x.shape[:-1], -1)

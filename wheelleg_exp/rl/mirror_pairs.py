@@ -22,9 +22,8 @@ _MIN_AXIS_COSINE = 0.99
 def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[int]:
     r"""Return the index of each joint's mirror image; a joint that no key of ``pairs`` matches is its own mirror image.
 
-    A key of ``pairs`` is a regular expression that matches the full names of joints on one side of the robot. The value
-    of a key in ``pairs`` is the joint's name on the other side; ``\1`` stands for the first matched group of the key. A
-    key with the value None pairs no joints.
+    A key of ``pairs`` is a regular expression for the full names of joints on one side. Its value is the name on the
+    other side, with ``\1`` for the first group of the key, or None, which pairs no joints.
     """
     found = list(range(len(names)))
     for expression, image in pairs.items():
@@ -51,9 +50,8 @@ def joint_images(names: Sequence[str], pairs: Mapping[str, str | None]) -> list[
 def joint_signs(model: mujoco.MjModel, root: str, names: Sequence[str], images: Sequence[int]) -> list[float]:
     """Return the factors, 1 or -1, by which a mirror changes joint positions. Raise ConfigError for asymmetric joints.
 
-    A mirror M turns the axis a of a hinge into -M a, because the sense of rotation changes, and the axis a of a slide
-    into M a. Two paired joints must have mirrored anchors, and must move bodies with mirrored centres of mass and equal
-    masses. ``images[i]`` is the index of the joint that mirrors joint i.
+    A mirror M turns the axis a of a hinge into -M a, and that of a slide into M a. Paired joints must have mirrored
+    anchors, and move bodies with mirrored centres of mass and equal masses. ``images[i]`` mirrors joint i.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -98,9 +96,8 @@ _MAX_FRAME_ERROR = 0.02
 class BodyImages:
     """Finds the mirror image of each body of a robot.
 
-    If a joint moves a body, the mirrored joint moves the body's mirror image. The mirror image of any other body is the
-    body at the mirrored position. ``names`` are the body names, starting with the root. ``joint_images`` has the index
-    of each joint's mirror image.
+    If a joint moves a body, the mirrored joint moves the body's image. The image of any other body is the body at the
+    mirrored position. ``names`` starts with the root. ``joint_images`` has the index of each joint's mirror image.
     """
 
     def __init__(

@@ -155,9 +155,8 @@ _OFFSETS = (
 class TermMirror:
     """Applies mirror rules (how an observation term changes in a mirror image) to observation terms.
 
-    ``joint_images`` contains the index of each joint's mirror image. ``joint_signs`` contains -1 for each joint whose
-    position changes its sign in the mirror, otherwise 1. If ``action[i]`` is ``(j, sign)``, the mirrored action i is
-    ``sign`` times the action j.
+    ``joint_images`` and ``joint_signs`` contain the index of each joint's image, and -1 if its position changes the
+    sign, else 1. If ``action[i]`` is ``(j, sign)``, the mirrored action i is ``sign`` times the action j.
     """
 
     def __init__(

@@ -16,12 +16,10 @@ _COUNT = "averaged_iterations"  # key in `unsaved`
 class PolicyAverage:
     """The exponential mean of a policy's weights over training iterations.
 
-    During training, a policy's weights fluctuate around an optimum. The mean of the weights is closer to the optimum
-    than the current weights (Polyak and Juditsky, "Acceleration of stochastic approximation by averaging", SIAM Journal
-    on Control and Optimization 30, 1992). Training continues with the policy's current weights, not with their mean
-    over iterations. In the first n = ``iterations`` training iterations, the average m is the mean of all policy
-    weights w so far. Later, each training iteration moves the average m by (w - m) / n towards the new weights w.
-    ``iterations`` = 0 disables the mean weights.
+    During training, the weights fluctuate around an optimum, and their mean is closer to it (Polyak and Juditsky,
+    "Acceleration of stochastic approximation by averaging", SIAM Journal on Control and Optimization 30, 1992).
+    Training continues with the current weights. In the first n = ``iterations`` iterations, the average m is the mean
+    of all weights w so far. Later, each iteration moves m by (w - m) / n. ``iterations`` = 0 disables the average.
     """
 
     def __init__(self, policy: torch.nn.Module, iterations: int) -> None:

@@ -1,10 +1,9 @@
 """rsl_rl's PPO as CUDA graphs: acting, and the update of the networks.
 
-In every minibatch, rsl_rl waits for the GPU four times, and launches about three hundred kernels. ``ppo_graphs`` runs
-each minibatch of PPO as one CUDA graph, and waits for the GPU once per policy update. The learning rate and the sums of
-the losses stay on the GPU, because a CUDA graph cannot read Python numbers that change. Networks, losses, gradient
-clipping, and Adam are rsl_rl's own functions. In a training with several processes (ranks), the CUDA graph includes the
-communication of the ranks. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
+In every minibatch, rsl_rl waits for the GPU four times, and launches about three hundred kernels. Here, each minibatch
+is one CUDA graph, and an update waits once. The learning rate and the sums of losses stay on the GPU, because a graph
+cannot read Python numbers that change. Networks, losses, gradient clipping, and Adam are rsl_rl's own. The graph
+includes the communication of the ranks. rsl_rl itself updates algorithms that ``can_capture_update`` rejects.
 """
 
 from __future__ import annotations
@@ -57,10 +56,9 @@ class CapturedPPO:
 class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
-    The first policy update runs without a CUDA graph, and the second policy update is captured as a CUDA graph. After
-    each policy update, the optimizer's original settings are restored, so that rsl_rl can save and load it. A CUDA
-    graph reads fixed memory addresses. If the memory address of a tensor changes, for example when a checkpoint is
-    loaded, a new CUDA graph is captured.
+    The first update runs without a graph, and the second is captured. After each update, the optimizer's settings are
+    restored, so that rsl_rl can save and load it. A graph reads fixed addresses: if the address of a tensor changes,
+    for example when a checkpoint is loaded, a new graph is captured.
     """
 
     def __init__(self, algorithm: PPO) -> None:
@@ -212,8 +210,7 @@ class CapturedUpdate:
 class CapturedActing:
     """Draws actions and stores the data for the policy update, as rsl_rl's ``PPO.act`` does.
 
-    The first rollout uses ``PPO.act``. At the start of the second rollout, ``CapturedActing`` captures the actor and
-    the critic as a CUDA graph. If the memory address of a network's weight changes, a new CUDA graph is captured.
+    The first rollout uses ``PPO.act``. The second is captured, and again one after the address of a weight changed.
     """
 
     def __init__(self, algorithm: PPO) -> None:

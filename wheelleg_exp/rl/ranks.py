@@ -1,10 +1,9 @@
 """Connect the processes (ranks) that train one policy together and that torchrun has started.
 
-Each process (rank) simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes
-over gloo. No message is unpickled. Processes (ranks) exchange gradients on GPUs over NCCL. A checkpoint of several
-ranks is one tree: networks and optimizer are stored once. Each rank has its own environments, random streams, episode
-sums, and hidden states. The top level of a checkpoint contains the first rank's state, and its key ``ranks`` contains
-the state of all other ranks.
+Each rank simulates its own environments. Ranks exchange small values as JSON and states as checkpoint bytes over gloo,
+and gradients on GPUs over NCCL; no message is unpickled. A checkpoint stores networks and optimizer once. Environments,
+random streams, episode sums, and hidden states of the first rank are at its top level, and those of all other ranks
+below its key ``ranks``.
 """
 
 from __future__ import annotations
@@ -221,8 +220,7 @@ class Ranks:
     def merged(self, scalars: Mapping[str, float], times: Sequence[str] = ()) -> dict[str, float]:
         """Merge the scalars of all ranks: means over the ranks that have a key, sums of counts, or the longest time.
 
-        For the keys in ``times``, the longest duration of all ranks is returned. Only the first rank returns merged
-        scalars; all other ranks return their own scalars.
+        The keys in ``times`` get the longest time. All ranks except the first return their own scalars.
         """
         if not self.together:
             return dict(scalars)
@@ -280,10 +278,7 @@ def state_of_rank(state: Mapping[str, Any], rank: int) -> dict[str, Any]:
 
 
 def digests_of_all(ranks: Ranks, state: Mapping[str, object]) -> tuple[dict[str, str], bool]:
-    """Return the digests (hashes) of the state of all processes (ranks), and whether all ranks have equal networks.
-
-    All ranks must call ``digests_of_all``, each with its own state, because the ranks exchange digests.
-    """
+    """Return the digests of all ranks' states, and whether their networks are equal; all ranks must call it."""
     mine = digests.of_state(state)
     if not ranks.together:
         return mine, True

@@ -27,8 +27,7 @@ _MAX_TARGET_ERROR = 1e-4  # rad
 class Mirror:
     """Mirrors observations and actions of an environment, so that left and right are exchanged.
 
-    ``groups`` are the observation groups that networks read. ``Mirror`` raises ConfigError for a robot that is not
-    symmetric, and for an observation term whose mirror image is unknown.
+    An asymmetric robot, or a term of ``groups`` (those that networks read) without a known image, raises ConfigError.
     """
 
     def __init__(
@@ -194,9 +193,8 @@ def replace_mirror_loss(algorithm: PPO | Distillation) -> None:
 def mirror_loss(symmetry: Symmetry, actor: MLPModel, observations: TensorDict) -> torch.Tensor:
     """Return the mean squared difference between the actions for mirrored observations and the mirrored actions.
 
-    The mirror loss and its gradient equal those of ``Symmetry.compute_loss`` in rsl_rl 5.5. rsl_rl evaluates the policy
-    a second time, only to backpropagate a gradient of 0. ``mirror_loss`` reuses the actions of the last forward pass,
-    whose input must have been ``observations``.
+    Loss and gradient equal those of ``Symmetry.compute_loss`` in rsl_rl 5.5, which evaluates the policy a second time.
+    ``mirror_loss`` reuses the actions of the last forward pass, whose input must have been ``observations``.
     """
     mirror = symmetry.env.mirror
     wanted = mirror.actions(actor.output_mean.detach())

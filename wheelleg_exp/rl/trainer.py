@@ -44,10 +44,9 @@ class Iteration:
 class Trainer:
     """Trains a policy with the options of the agent.
 
-    Initial weights, exploration, and minibatches are drawn from torch's global generator. The environment does not use
-    torch's global generator. In a distillation, ``teacher`` is the checkpoint of the teacher policy. If ``initial`` is
-    given, the training starts with its networks instead of random networks. With several processes (ranks), each
-    process has its own ``Trainer``.
+    Initial weights, exploration, and minibatches are drawn from torch's global generator, which the environment does
+    not use. ``teacher`` is the checkpoint of a distillation's teacher. ``initial`` replaces random networks. Each
+    process (rank) has its own ``Trainer``.
     """
 
     def __init__(
@@ -84,10 +83,9 @@ class Trainer:
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train until the number of training iterations is ``until``, and yield the result of each iteration.
 
-        If several processes (ranks) train together, each rank must call ``learn`` and consume its results. The first
-        rank yields results of all ranks: scalars are means, steps are sums. A number that is NaN or inf raises
-        SimulationFailure: an observation, an action, a number that an event wrote, a loss, a parameter, or physics and
-        rewards in more environments than ``agent.max_non_finite`` allows.
+        All ranks must consume the results. The first rank yields those of all ranks: scalars are means, steps are sums.
+        NaN or inf raises SimulationFailure: in an observation, an action, a number that an event wrote, a loss, a
+        parameter, or in physics and rewards of more environments than ``agent.max_non_finite`` allows.
         """
         self.algorithm.train_mode()
         if self.ranks.together:

@@ -57,8 +57,7 @@ def require_fit(key: str, value: object, annotation: object) -> None:
 def misfits(value: object, annotation: object) -> list[Misfit]:
     """Return all mistakes in a config value, such as a text where the type annotation requires a number.
 
-    An int fits ``float``, and a list fits ``tuple``, but a bool does not fit ``int``. Every value fits a class or a
-    callable, because a ``_target_`` node builds the object.
+    An int fits ``float``, a list fits ``tuple``, but a bool does not fit ``int``. Every value fits a class or callable.
     """
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any or annotation is object:

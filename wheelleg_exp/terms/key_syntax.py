@@ -1,7 +1,4 @@
-"""Convert config keys and config overrides from and to text.
-
-Examples of config keys are ``env.rewards.alive`` and ``env.robot.init_state.joint_pos[.*_hip]``.
-"""
+"""Convert config keys, such as ``env.rewards.alive`` or ``joint_pos[.*_hip]``, and overrides from and to text."""
 
 from __future__ import annotations
 
@@ -40,8 +37,5 @@ PIPELINE = "pipeline"  # Hydra's primary config ``pipeline`` has a section ``pip
 
 
 def names_pipeline(word: str) -> bool:
-    """Return whether a config override or config key belongs to the config section ``pipeline``.
-
-    Overrides outside the config section ``pipeline`` change the configs of the trainings that a pipeline starts.
-    """
+    """Return whether a config override or config key belongs to the config section ``pipeline``."""
     return word.lstrip("+~").partition("=")[0].split(".")[0] == PIPELINE

@@ -1,6 +1,5 @@
 """Import the function or class that a term's config names in ``_target_``, and bind config keys to its parameters.
 
-A term's config is a flat mapping with ``_target_``, the fields that the manager reads, and the term's parameters.
 ``_target_`` can only name functions and classes in allowed packages, so that a config cannot call arbitrary code.
 """
 
@@ -159,10 +158,7 @@ def _drop_null(parent: dict[str, object], key: str, path: str) -> list[str]:
 
 
 def split_node(kind: str, path: str, node: object) -> TermNode:
-    """Split a term's config into fields for the manager, such as ``weight``, and parameters for the function.
-
-    ``kind`` is the name of the config section that contains the term, such as ``rewards``.
-    """
+    """Split a term's config into fields for the manager, such as ``weight``, and parameters for the function."""
     if not isinstance(node, Mapping):
         raise ConfigError(f"a term must be a mapping, not {node!r}", key=path, expected="_target_ and parameters")
     if TARGET not in node:
@@ -266,9 +262,8 @@ def takes_cfg(target: Callable[..., object]) -> bool:
 def read_from(target: Callable[..., object]) -> Callable[..., object]:
     """Return the function or class that defines which parameters a term's config can set.
 
-    For a class with the constructor ``(cfg, env)``, return its method ``__call__``, or the class of ``cfg`` if
-    ``__call__`` is missing. A class with a method ``from_config`` is made by this method. Any other function or class
-    defines its parameters itself.
+    This is ``__call__`` of a class with the constructor ``(cfg, env)``, or else the class of its ``cfg``; the method
+    ``from_config`` of a class that has it; otherwise the function or class itself.
     """
     if hasattr(target, "from_config"):
         return cast(Callable[..., object], target.from_config)

@@ -1,8 +1,4 @@
-"""Report errors in a term: values that do not fit its annotations, and exceptions in its code.
-
-Each value in a term's config must fit the type annotation of the function parameter with the same name. ``failure``
-converts an exception in the code of a term into an error with the term's config key and line.
-"""
+"""Report errors in a term: values that do not fit its annotations, and exceptions in its code."""
 
 from __future__ import annotations
 

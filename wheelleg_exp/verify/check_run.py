@@ -1,8 +1,4 @@
-"""Check whether the files of one run agree with the run's manifest and with each other.
-
-The checks cover the inputs of the run (parameters, source, robot) and the results of the run (iterations, checkpoints,
-recording, exported policy).
-"""
+"""Check whether the files of one run agree with the run's manifest and with each other."""
 
 from __future__ import annotations
 

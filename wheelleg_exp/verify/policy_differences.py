@@ -1,8 +1,4 @@
-"""Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs.
-
-To save memory, only two checkpoints are loaded at a time: the checkpoints of both compared runs at one iteration.
-Exported policies are compared without running them.
-"""
+"""Compare checkpoints tensor by tensor, and exported policies by their weights, code, and graphs."""
 
 from __future__ import annotations
 

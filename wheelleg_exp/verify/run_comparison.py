@@ -78,9 +78,8 @@ def compare_runs(
 ) -> Comparison:
     """Compare two training runs bit for bit.
 
-    With ``iterations=100``, only the first 100 iterations of both runs are compared. If ``common`` is true, only the
-    iterations that both training runs have are compared. A training that still runs is compared up to its last finished
-    iteration. By default, two ended training runs with unequal numbers of iterations count as different.
+    ``iterations`` restricts the comparison to the first ones, and ``common`` to those that both runs have. A running
+    training is compared up to its last finished iteration. Otherwise, unequal numbers of iterations count as different.
     """
     if a.path == b.path:
         raise RunDirectoryError(f"the two runs are the same run '{a.id}'", expected="two runs, or one run alone")

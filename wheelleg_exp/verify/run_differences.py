@@ -161,8 +161,7 @@ def environment_differences(
 ) -> list[FactDifference]:
     """Return how the processes of two runs differ in versions, modules, hardware, threads, and environment variables.
 
-    If one run did not record a section, such as ``hardware``, this section is not compared. Facts in ``unknown``, such
-    as ``torch_cpu_capability``, are not compared.
+    Sections that one run did not record, such as ``hardware``, and facts in ``unknown`` are not compared.
     """
     found = []
     for section in SECTIONS:

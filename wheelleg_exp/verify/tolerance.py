@@ -1,23 +1,19 @@
 """Decide whether rounding alone can explain why two training runs have unequal numbers.
 
 A training amplifies even a difference in the last digit of a number. In a test, two runs with different matrix kernels
-agreed to 1e-6 for about four iterations. After eight iterations, only statistics such as the mean return agreed. Two
-runs are within tolerance if they pass two tests:
+agreed to 1e-6 for about four iterations, and after eight only in statistics such as the mean return. Two runs are
+within tolerance if they pass two tests:
 
 - Start: in the first iteration whose scalars differ, each scalar agrees within ``START`` of the larger magnitude, and
   so do the networks' parameters (Euclidean) if both runs have a checkpoint of that iteration. In tests, the scalars of
   two runs deviated by 1e-6 with different matrix kernels, and by at least 0.4 with different seeds.
 - End: the return and the length of episodes, averaged over the last tenth of the iterations, agree within ``END`` of
-  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. The fluctuation of
-  the return is large while a run learns fast. In a test with 110 iterations, the final mean returns of two runs
-  differed by 0.001 times the range of the return.
+  their range, or within ``SPREADS`` times their own fluctuation in these iterations if that is more. In a test with 110
+  iterations, the final mean returns of two runs differed by 0.001 times the range of the return.
 
-Averages skip iterations without a return or episode length, for example before the first episode ends. If only one of
-two runs has a final return or episode length, the two runs are not within tolerance. Two runs with at least 50
-iterations are not within tolerance if neither has a final return or episode length. Two runs with fewer than 50
-iterations need to agree only in the first iteration whose scalars differ.
-
-Without a known cause of unequal numbers, such as another CPU, two runs must be equal bit for bit.
+Averages skip iterations without a return or episode length. If only one run has such a final value, or if both lack
+them after at least 50 iterations, the runs are not within tolerance. Runs with fewer than 50 iterations only need to
+pass the first test. Without a known cause of unequal numbers, such as another CPU, two runs must be equal bit for bit.
 """
 
 from __future__ import annotations
@@ -101,9 +97,8 @@ class Tolerance:
 def judge(a: Sequence[Line], b: Sequence[Line], parameters: tuple[int, float] | None, *, whole: bool) -> Tolerance:
     """Measure the deviations between two runs in the iterations that both runs have.
 
-    ``parameters`` contains the first iteration in which the runs differ, and the relative distance between their
-    network parameters. ``parameters`` is None if a run has no checkpoint of the first differing iteration. ``whole`` is
-    true if ``a`` and ``b`` are the complete logs of both runs.
+    ``parameters`` contains the first iteration in which the runs differ, and the relative distance of their parameters;
+    None without a checkpoint of it. ``whole`` is true if ``a`` and ``b`` are the complete logs of both runs.
     """
     parting = next(((x, y) for x, y in zip(a, b, strict=True) if x.scalars != y.scalars), None)
     start = [] if parting is None else [_start(*parting)]

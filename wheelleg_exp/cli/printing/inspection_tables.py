@@ -158,9 +158,7 @@ _NOTES = 3  # Print only the last 3 notes of a recording.
 def print_summary(summary: Summary, others: Sequence[Path], selection: Selection, status: str | None) -> None:
     """Print tables of a recording's contents and performance figures.
 
-    ``others`` contains the paths of all recordings of the run except the printed recording. ``selection`` selects the
-    recorded rows from which the printed performance figures are computed. ``status`` is the status of the training run
-    that was recorded, and None for a recording of ``wheelleg play``.
+    ``others`` are the other recordings of the run. ``status`` is that of a training; None for ``wheelleg play``.
     """
     print_table(("recording", shown(Path(summary.path).absolute())), _head(summary, status))
     if summary.purpose is None:

@@ -1,7 +1,6 @@
 """Write text and tables to the terminal, or to a pipe.
 
-Tables and blocks of text fit the screen: the terminal's width, otherwise 100 columns. If the process that reads the
-command's output closes the pipe, the command continues without output.
+Text fits the terminal's width, or else 100 columns. If the reader closes the pipe, the command continues silently.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from wheelleg_exp.errors import printable
 class LastingStream:
     """A text stream to a pipe that ignores writes after the reading process has closed the pipe.
 
-    ``losses`` contains exception types that ``write`` ignores, such as BrokenPipeError from a closed pipe. A ``styled``
-    stream writes ANSI colour codes unchanged; a plain stream writes control characters as readable text.
+    ``write`` ignores exceptions in ``losses``. Unless ``styled``, control characters become readable text.
     """
 
     def __init__(self, stream: TextIO, *losses: type[OSError], styled: bool = False) -> None:
@@ -73,8 +71,7 @@ def styled(stream: TextIO) -> TextIO:
 def lasting_streams() -> Iterator[None]:
     """Inside the ``with`` block, ignore all write errors on standard error, and a closed pipe on standard output.
 
-    A closed terminal or a full disk must not stop a training, so errors of writes to standard error are ignored. On
-    standard output, every write error except a closed pipe is raised, because the command's result would be lost.
+    A closed terminal or a full disk must not stop a training, but a result on standard output must not be lost.
     """
     before = sys.stdout, sys.stderr
     sys.stdout = before[0] and LastingStream(before[0], BrokenPipeError)
@@ -114,8 +111,7 @@ def screen_width() -> int:
 def wrapped(text: str, width: int) -> list[str]:
     """Wrap a text into lines of at most ``width`` characters.
 
-    A word that is longer than one line is split after ``/``, ``.``, ``,`` or ``_``. A word without ``/``, ``.``, ``,``
-    and ``_`` is never split, so that users can copy the word.
+    A longer word is split only after ``/``, ``.``, ``,`` or ``_``, so that users can copy it.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):
@@ -142,10 +138,7 @@ def _broken(word: str, width: int) -> list[str]:
 
 
 def hanging(text: str, indent: int, first: str = "") -> str:
-    """Wrap a text to the width of the terminal, with a hanging indent.
-
-    The label ``first``, padded with spaces to ``indent`` characters, precedes the first line.
-    """
+    """Wrap a text to the terminal's width after the label ``first``, with a hanging indent of ``indent`` characters."""
     lines = wrapped(text, max(screen_width() - indent, 2 * _LEAST_WRAPPED))
     lead = f"{first:<{indent}}" if first else ""
     return lead + ("\n" + " " * indent).join(lines)
@@ -160,8 +153,7 @@ def table_width(columns: Sequence[str], rows: Sequence[Row]) -> int:
 def print_table(columns: Sequence[str], rows: Sequence[Row], *, heads: int = 1, lines: bool = True) -> None:
     """Print a table; if the table is too wide for the terminal, wrap wide columns or print each row as several lines.
 
-    If each row is printed as several lines, the row's first ``heads`` cells are the heading of these lines. If
-    ``lines`` is true, a table in a terminal has lines between the cells.
+    The first ``heads`` cells become the heading of such lines. In a terminal, ``lines`` draws lines between the cells.
     """
     cells = _cells(rows)
     widths = _widths(columns, cells)
