@@ -80,7 +80,8 @@ PORTABLE_KERNELS, WIDE_KERNELS = "AVX2,STRICT", "AVX512,STRICT"
 def matrix_kernels() -> str:
     """Return the faster of MKL's two reproducible code paths: the wide path needs an Intel CPU with AVX-512.
 
-    MKL_CBWR makes MKL's results bitwise equal for any number of threads; only Intel's CPUs support it.
+    MKL_CBWR makes MKL's results bitwise equal for any number of threads. MKL ignores it on CPUs that are not from
+    Intel.
     """
     flags = first_processor().get("flags", "").split()
     wide = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"} <= set(flags)

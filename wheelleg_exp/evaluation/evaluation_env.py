@@ -30,7 +30,8 @@ def evaluation_options(
 ) -> EnvOptions:
     """Return the options of a task's environment with the changes that an evaluation needs.
 
-    Events within an episode, time-outs, rewards, curricula, and recorders are removed; all other parts remain.
+    Time-outs, events within an episode, rewards, curricula, and recorders are removed. Commands, failure terminations,
+    and events at startup and reset remain.
     """
     env = without_pushes(env if protocol.realism == "own" else without_realism(env))
     if protocol.command not in env.commands:

@@ -48,7 +48,7 @@ class HeldCommand:
 def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> None:
     """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-    The default height is the middle of the task's range; inf means no jump. A missing command raises ConfigError.
+    The default pose is the middle of the task's range; inf means no jump. A missing command raises ConfigError.
     """
     terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
     poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]

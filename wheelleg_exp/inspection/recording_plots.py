@@ -116,7 +116,8 @@ def overlay(
 ) -> Figure:
     """Return a figure with one panel per recorded number, and one line per recording in each panel.
 
-    ``terms`` defaults to training curves if all are trainings, else to motions. RunDirectoryError without any number.
+    Without ``terms``, the figure shows training curves if every recording is of a training, otherwise motions.
+    RunDirectoryError means that the recordings contain no number to plot.
     """
     named = {label: Source(r, selection=selection) for label, r in recordings.items()}
     sources = {f"{label}, {s.whose}" if s.whose and not s.is_training else label: s for label, s in named.items()}

@@ -75,7 +75,7 @@ def training_trends(recording: Recording, selection: Selection) -> list[Trend]:
 def sample_episodes(found: Sequence[Episode], longest: int) -> list[Sample]:
     """Group the recorded episodes of a training by recorded interval (sample), and return statistics of each interval.
 
-    ``longest`` (control steps): a sample starts with each environment's first reset, at most one episode length later.
+    ``longest`` is the largest episode length in control steps, within which the recording of each environment starts.
     """
     groups: list[list[list[Episode]]] = []
     for stretch in sorted(_stretches(found), key=lambda stretch: stretch[0].first_step):

@@ -53,7 +53,7 @@ def noop_joint_reset(case: Case) -> Iterator[Finding]:
 def zero_width_range(case: Case) -> Iterator[Finding]:
     """The two ends of a random range are equal, so all random values are equal.
 
-    Of the ranges for several axes, at least one must vary. A policy learns nothing from a constant. Source: arithmetic.
+    Of several axes, at least one range must vary. A policy learns nothing from a constant command. Source: arithmetic.
     """
     for term in (*case.terms("events"), *case.terms("commands")):
         for name, value in term.node.items():

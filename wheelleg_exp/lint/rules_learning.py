@@ -215,7 +215,8 @@ def late_average(case: Case) -> Iterator[Finding]:
 
     In the first n = ``average_iterations`` iterations, the average m is the mean of the weights of all iterations so
     far; later, each iteration adds (w - m) / n. After i iterations, the first n have the share (1 - 1/n)^(i - n) of the
-    average. With ``init_from``, they are not random, and are not checked. Source: the weights of an exponential mean.
+    average. With ``init_from``, the first iterations are not random, and the rule does not apply. Source: the weights
+    of an exponential mean.
     """
     reach, iterations = case.agent.average_iterations, case.agent.max_iterations
     if reach < 2 or case.config.init_from:

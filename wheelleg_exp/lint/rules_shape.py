@@ -344,8 +344,7 @@ def _centres(robot: CompiledRobot, one: int, other: int, mass: float) -> Iterato
 def lopsided_pose(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """The default joint positions of a symmetric robot's left and right legs are not mirror images.
 
-    The usual cause is a sign: mirrored joints with opposite axes need opposite positions. Source: the mirrored joint
-    axes.
+    The usual cause is a sign: mirrored joints with opposite axes need opposite positions. Source: the mirrored axes.
     """
     if robot.drawn.left is None:
         return

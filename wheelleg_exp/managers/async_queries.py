@@ -36,7 +36,8 @@ class AsyncMaskQuery:
     def ids(self, also_failed: torch.Tensor, *, at_once: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the indices of the environments whose episode ended, and of the environments that failed.
 
-        ``also_failed`` (N,) marks NaN rewards, for example. On a GPU without ``at_once``, only ``late`` returns them.
+        ``also_failed`` (N,) marks further failed environments. On a GPU without ``at_once``, only ``late`` returns
+        them.
         """
         self._masks[2].copy_(also_failed, non_blocking=True)
         self._record(1)

@@ -65,7 +65,7 @@ class TerminationManager(ManagerBase):
         return _endings(self.active_terms, self.fired[:, env_ids])
 
     def compute(self, skipped: torch.Tensor | None = None) -> torch.Tensor:
-        """Evaluate every term; return a mask (N,) of the environments that end, without the mask ``skipped``."""
+        """Evaluate every term; return a mask (N,) of the environments that end, except those in ``skipped``."""
         if self._terms:
             torch.stack([term(self._env) for term in self._terms.values()], out=self.fired)
         if skipped is not None:
@@ -89,7 +89,7 @@ class TerminationManager(ManagerBase):
         return {f"Episode_Termination/{n}": v for n, v in zip(self._terms, shares.unbind(), strict=True)}
 
     def last_endings(self) -> Counter[str]:
-        """Count environments by the terms that ended their last episode; ``none`` without such a term or episode."""
+        """Count environments by the terms that ended their last episode; the key ``none`` if no term has ended one."""
         found = _endings(self.active_terms, self._last_episode)
         return Counter({"none" if name == NOT_FINITE else name: count for name, count in found.items()})
 

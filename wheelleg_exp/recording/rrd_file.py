@@ -4,9 +4,9 @@ An rrd file consists of a header of 12 bytes and messages: kind (u64), length of
 content, which Rerun's SDK encodes and decodes. A closed file ends with an index message, and 32 bytes with its
 position. New messages go to a temporary file and are then appended, without their index. Measured with Rerun 0.41:
 
-- The file stream of Rerun's SDK leaves two threads and about 1 MB in the process for ever, and never returns when the
-  disk is full. ``write_rrd`` leaves no threads, raises an error for a full disk, and writes 16 rows of 60 entities in 9
-  ms.
+- The file stream of Rerun's SDK leaves two threads and about 1 MB in the process for ever, and does not return if the
+  disk is full. ``write_rrd`` leaves no threads, raises an error if the disk is full, and writes 16 rows of 60 entities
+  in 9 ms.
 - The reader of Rerun's SDK raises an error for a truncated file. It terminated the process for 4 of 300 damaged files
   without an index, and for none of 400 with one. So Rerun's own program first rewrites recordings without an index.
 """

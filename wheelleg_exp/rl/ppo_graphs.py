@@ -210,7 +210,8 @@ class CapturedUpdate:
 class CapturedActing:
     """Draws actions and stores the data for the policy update, as rsl_rl's ``PPO.act`` does.
 
-    The first rollout uses ``PPO.act``. The second is captured, and again one after the address of a weight changed.
+    The first rollout uses ``PPO.act``. The second is captured, and another one after the address of a weight has
+    changed.
     """
 
     def __init__(self, algorithm: PPO) -> None:

@@ -17,7 +17,10 @@ SCALAR = "Diagnostics/non_finite/"  # ``SCALAR`` is the name prefix of scalars t
 
 
 class FailureCount:
-    """Counts episodes that NaN or inf ended; more than max(1, ``max_non_finite * num_envs``) per iteration fail."""
+    """Counts episodes that ended because a number was NaN or inf: a few are accepted, many are an error.
+
+    Each training iteration may have up to max(1, ``max_non_finite * num_envs``) episodes with NaN or inf.
+    """
 
     def __init__(self, num_envs: int, max_non_finite: float) -> None:
         self._num_envs = num_envs

@@ -79,7 +79,7 @@ def compare_runs(
     """Compare two training runs bit for bit.
 
     ``iterations`` restricts the comparison to the first ones, and ``common`` to those that both runs have. A running
-    training is compared up to its last finished iteration. Otherwise, unequal numbers of iterations count as different.
+    training is compared up to its last finished iteration. Otherwise, runs of unequal length count as different.
     """
     if a.path == b.path:
         raise RunDirectoryError(f"the two runs are the same run '{a.id}'", expected="two runs, or one run alone")

@@ -111,7 +111,8 @@ def screen_width() -> int:
 def wrapped(text: str, width: int) -> list[str]:
     """Wrap a text into lines of at most ``width`` characters.
 
-    A longer word is split only after ``/``, ``.``, ``,`` or ``_``, so that users can copy it.
+    A longer word is split only after ``/``, ``.``, ``,`` or ``_``; any other word stays whole, so that users can copy
+    it.
     """
     lines = [""]
     for piece in re.findall(r" *[^ ]+", text):

@@ -157,7 +157,8 @@ def latest(batches: Iterable[pa.RecordBatch]) -> dict[str, pa.Array]:
 def closed_copy(path: Path) -> Iterator[tuple[Path, int]]:
     """Yield a temporary readable copy of a truncated or damaged recording, and the number of unreadable messages.
 
-    Rerun's program writes the copy, because decoding can end this process; its failure raises RunDirectoryError.
+    Rerun's own program writes the copy, because a damaged message can terminate the process that decodes it. If it
+    cannot write the copy, ``closed_copy`` raises RunDirectoryError.
     """
     with tempfile.TemporaryDirectory(prefix="wheelleg-recording-") as folder:
         trimmed, closed = Path(folder) / "trimmed.rrd", Path(folder) / "closed.rrd"

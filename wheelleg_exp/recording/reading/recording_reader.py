@@ -66,7 +66,7 @@ class Event:
 class Recording:
     """A Rerun recording that was read from a file. ``health`` states how much of the recording's file is readable.
 
-    ``recording_id`` must select one of several recordings. A missing, empty, or other file raises RunDirectoryError.
+    ``recording_id`` must select one of several recordings. A missing or foreign file raises RunDirectoryError.
     """
 
     def __init__(self, path: Path, *, recording_id: str | None = None) -> None:
