@@ -60,10 +60,10 @@ def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> Ma
     return env
 
 
-def make_part(work, term, *, values: Values | None = None, make_graph=Tape):
+def make_part(work, term, *, make_graph=Tape):
     """Return a captured part of a term, and a function that compares the settings and then runs the part."""
     register_undeclared(term)
-    values = values or Values(term)
+    values = Values(term)
     part = CapturedPart(work, values, make_graph)
 
     def run(*args):

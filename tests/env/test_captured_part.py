@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from env.tape import Tape, make_part
-from wheelleg_exp.env.graph_capture import Values
 from wheelleg_exp.managers.manager_base import Term, TermBase
 
 UNDECLARED = r"runs without a CUDA graph: 'kept[.\w]*' of Keeper changes"
@@ -71,16 +70,6 @@ def test_a_returned_buffer_is_the_present_one():
     for step in range(1, 9):
         term.now = torch.full((2,), float(step))
         assert run().tolist() == [step, step]
-
-
-@pytest.mark.parametrize("order", [("now", "last"), ("last", "now")])
-def test_a_tensor_that_moves_between_buffers_is_unchanged(order):
-    term = Made(**{name: torch.zeros(2) for name in order})  # The graph copies the buffers in this order.
-    _, run = make_part(lambda: term.now - term.last, term)
-    for step in range(1, 9):
-        term.last = term.now
-        term.now = torch.full((2,), float(step * step))
-        assert run().tolist() == [2 * step - 1] * 2
 
 
 class Shared(TermBase):
@@ -250,26 +239,6 @@ def test_a_term_that_uses_undeclared_state_later_runs_without_a_graph_from_then_
     with pytest.warns(UserWarning, match="'kept' of Scaled changes"):
         outputs(run, term, "keeps", [True] * 5)
     assert len(term.kept) == 5
-
-
-class TwoParts(Made):
-    def take(self) -> torch.Tensor:
-        self.kept = (self.now.clone(),)
-        return self.now + 0.0
-
-    def read(self) -> torch.Tensor:
-        return self.kept[0] + 0.0
-
-
-@pytest.mark.filterwarnings("ignore:the part 'take' of the step runs without a CUDA graph")
-def test_a_tuple_that_another_part_replaces_is_read_as_it_is():
-    term = TwoParts(now=torch.zeros(1), kept=(torch.zeros(1),))
-    values = Values(term)
-    (_, take), (_, read) = (make_part(work, term, values=values) for work in (term.take, term.read))
-    for step in range(1, 12):
-        term.now.fill_(float(step))
-        assert float(read()) == step - 1
-        assert float(take()) == step
 
 
 @pytest.mark.parametrize("value", [np.float64(3.0), 3])

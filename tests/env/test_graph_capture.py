@@ -197,48 +197,6 @@ def test_steps_and_resets_with_realism_are_captured(words):
     assert not any(part.fails for part in env.graph_capture.parts.values())
 
 
-def test_settings_are_compared_without_a_search(monkeypatch):
-    env = make_env("walk", captured=True)
-    actions = random_actions(env, 80)
-    for action in actions[:60]:
-        env.step(action)
-    monkeypatch.setattr(env.graph_capture.values, "_find_settings", lambda: pytest.fail("settings were searched again"))
-    for action in actions[60:]:
-        env.step(action)
-
-
-def test_a_captured_reset_that_is_the_first_to_push_a_body_pushes_it_again():
-    plain, env = pair()
-    for _ in range(8):
-        for each in (plain, env):
-            robot = each.scene.robot
-            assert robot.state_dict()["_wrench_bodies"] == (0,)
-            robot.load_state_dict({**robot.state_dict(), "_wrench_bodies": ()})
-            each.reset(env_ids=torch.arange(3))
-            each.step(torch.zeros(16, each.action_manager.total_action_dim))
-        assert torch.equal(env.scene.sim.state, plain.scene.sim.state)
-    assert counts(resets(env)) == [3]
-
-
-def test_a_reset_that_counts_runs_without_a_graph():
-    plain, captured = pair()
-    for env in (plain, captured):
-        manager, own = env.action_manager, env.action_manager.reset
-        manager.count = 0
-
-        def reset(ids, manager=manager, own=own):
-            manager.count += 1
-            return own(ids)
-
-        manager.reset = reset
-
-    message = "'reset_rows' of the step runs without a CUDA graph: 'count' of ActionManager"
-    with pytest.warns(UserWarning, match=message):
-        assert_equal_steps(plain, captured, random_actions(plain, 40))
-    assert captured.action_manager.count == plain.action_manager.count
-    assert resets(captured).fails
-
-
 _NOISE = (
     "env.observations.policy.enable_corruption=true",
     "+env.observations.policy.terms.base_ang_vel.noise"

@@ -38,17 +38,6 @@ def ignoring_precision(make_it):
         return make_it()
 
 
-def test_actions_are_clipped_and_rescaled_to_the_bound():
-    plain, clipped = make(), wrappers.ClipAction(make(action_bound=0.5))
-    rescaled = ignoring_precision(lambda: wrappers.RescaleAction(make(action_bound=0.5), -1.0, 1.0))
-    for env in (plain, clipped, rescaled):
-        env.reset(seed=0)
-    wide = np.array([9.0, -9.0, 0.25, 0.0, 0.5, -0.5], np.float32)
-    expected = plain.step(np.clip(wide, -0.5, 0.5))[0]["policy"]
-    np.testing.assert_array_equal(clipped.step(wide)[0]["policy"], expected)
-    np.testing.assert_array_equal(rescaled.step(np.clip(wide, -0.5, 0.5) / 0.5)[0]["policy"], expected)
-
-
 def test_observations_are_filtered_flattened_and_normalized():
     env = flat(make())
     assert env.observation_space.shape == (135,)
@@ -89,17 +78,6 @@ def test_the_episodes_of_a_batch_are_counted_and_a_partial_reset_restarts_its_co
     env.step(np.zeros((N, 6), np.float32))
     env.reset(options={"reset_mask": np.array([True, False, False])})
     assert env.episode_lengths.tolist() == [0, 1, 1]
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_infos_become_a_list(mode):
-    env = vector.DictInfoToList(vector.RecordEpisodeStatistics(make_vec(mode)))
-    assert env.reset(seed=0)[1] == [{}] * N
-    infos = [env.step(np.zeros((N, 6), np.float32))[4] for _ in range(13)]
-    assert infos[0] == [{}] * N
-    ended = {"episode"} | ({"final_obs", "final_info", "log"} if mode == "same_step" else set())
-    assert [info.keys() for info in infos[11]] == [ended] * N
-    assert [info.keys() for info in infos[12]] == [{"log"} if mode == "next_step" else set()] * N
 
 
 @pytest.mark.parametrize("mode", MODES)

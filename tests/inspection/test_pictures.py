@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from inspection.synthetic import Writer
 from inspection.written import CONTACT, DT, FELL_AT, HEIGHT, base_x, write_recording
-from PIL import Image
 
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.inspection import recorded_scene, recording_pictures
@@ -102,16 +101,6 @@ def test_a_contact_force_is_an_arrow_of_its_length(shown: Scenery, graphics: str
     assert abs(columns.mean() - pixel(origin, camera, lookat)[0]) <= 3
 
 
-def test_a_screenshot_is_a_file_of_the_asked_size(played: Recording, tmp_path: Path, graphics: str) -> None:
-    path = tmp_path / "shots" / "robot.png"
-    assert recording_pictures.screenshot(played, path, time_s=0.5, width=200, height=120) == pytest.approx(0.5)
-    with Image.open(path) as image:
-        assert image.size == (200, 120)
-    assert [p.name for p in path.parent.iterdir()] == ["robot.png"]
-    with pytest.raises(WheellegError, match="not overwritten"):
-        recording_pictures.screenshot(played, path)
-
-
 @pytest.mark.parametrize(
     ("choice", "row"),
     [
@@ -170,17 +159,6 @@ def test_a_recording_without_a_robot_is_rejected(tmp_path: Path) -> None:
     writer.numbers("something", [1.0])
     with pytest.raises(WheellegError, match="no moving robot"):
         scenery(Recording(writer.close()))
-
-
-def test_without_graphics_the_message_names_the_package(shown: Scenery, monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(renderer, "BACKENDS", ("glfw",))  # GLFW needs a display, which is missing.
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(WheellegError) as caught:
-        recording_pictures.save(shown, 0, tmp_path / "a.png", 64, 64)
-    assert "apt install libegl1" in str(caught.value)
-    assert "libosmesa6" in str(caught.value)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_driver_that_aborts_takes_nothing_with_it(shown: Scenery, monkeypatch) -> None:

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 import rerun as rr
-from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, drive, late, play, training
+from inspection.synthetic import AMPLITUDE, STEP_DT, Writer, late, play, training
 
 from wheelleg_exp.files import dump_json
 from wheelleg_exp.inspection.recording_summary import summarize
@@ -196,12 +196,3 @@ def test_a_summary_can_be_written_as_json(summary):
     document = json.loads(dump_json(summary.as_dict()))
     assert document["figures"]["survival"] == 0.5
     assert document["base"]["pitch"]["quantiles"]["0.5"] == pytest.approx(0.0, abs=1e-15)
-
-
-def test_a_shorter_environment_does_not_hide_the_others(tmp_path):
-    writer = Writer(tmp_path / "r.rrd")
-    drive(writer, "env_0")
-    writer.numbers("env_3/base/height", [5.0])
-    summary = summarize(Recording(writer.kill()))
-    assert (summary.health.is_whole, summary.figures.count, summary.base["height"].maximum) == (False, 3, 5.0)
-    assert summary.tracking[0].mean == pytest.approx(0.25)

@@ -121,17 +121,6 @@ def test_a_port_in_use_is_reported(files, played: Recording) -> None:
         WebViewer(Path(played.path), 70000)
 
 
-def test_two_viewers_run_at_the_same_time_and_leave_no_server_and_no_process(files, played: Recording) -> None:
-    with WebViewer(Path(played.path)) as one, WebViewer(Path(played.path)) as two:
-        assert one.port != two.port
-        assert ask(one.port, "/favicon.ico")[0] == ask(two.port, "/favicon.ico")[0] == 200
-        port = one.port
-    with pytest.raises(ConnectionError):
-        ask(port, "/")
-    assert files["/re_viewer_bg.wasm"][0] == "application/wasm"
-    assert not [p for p in psutil.Process().children(recursive=True) if "rerun" in p.name()]
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_serves_until_it_is_interrupted(played: Recording, number: signal.Signals) -> None:
     words = [sys.executable, "-m", "wheelleg_exp.cli.main", "inspect", str(played.path), "--web", "--no-browser"]
@@ -151,17 +140,6 @@ def test_the_command_serves_until_it_is_interrupted(played: Recording, number: s
     finally:
         process.kill()
         process.communicate()
-
-
-def test_no_window_and_no_browser_is_opened_where_there_is_no_display(played: Recording, monkeypatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(rerun_viewer.webbrowser, "open", lambda _: pytest.fail("opened"))
-    if rerun_viewer.has_display():
-        pytest.skip("this system always has a display")
-    with pytest.raises(WheellegError, match="--web"):
-        rerun_viewer.open_window(Path(played.path))
-    assert not rerun_viewer._open_browser("http://127.0.0.1/")
 
 
 def test_a_viewer_listens_for_this_machine_only_and_talks_to_nobody(tmp_path: Path, monkeypatch) -> None:
@@ -223,13 +201,3 @@ def test_a_wrong_picture_path_is_reported_before_a_viewer_starts(played, tmp_pat
     with pytest.raises(WheellegError):
         rerun_viewer.viewer_screenshot(Path(played.path), tmp_path / name, time_s=None)
     assert (tmp_path / "taken.png").read_bytes() == b"mine"
-
-
-def test_pictures_of_the_viewer_are_taken_until_it_stands_still() -> None:
-    class Client:
-        shots = iter([b"1", b"2", b"3", b"3", b"4"])
-
-        def take_screenshot(self) -> bytes:
-            return next(self.shots)
-
-    assert rerun_viewer._still(Client()) == b"3"

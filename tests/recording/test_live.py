@@ -1,7 +1,6 @@
 import contextlib
 import os
 import signal
-import socket
 import sys
 import textwrap
 from pathlib import Path
@@ -12,7 +11,6 @@ from patience import wait_until
 
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
-from wheelleg_exp.recording.writing import live_view
 from wheelleg_exp.recording.writing.live_view import Follower, LiveView, viewer_command, viewer_environment
 from wheelleg_exp.recording.writing.recorder import Recorder
 
@@ -109,13 +107,3 @@ def test_the_follower_gives_each_whole_message_once(env, tmp_path):
         found += pieces(follower)
     assert sorted(found) == sorted(pieces(Follower(path)))
     assert sum(n for entity, n, moving in found if entity == "/base/height" and moving) == STEPS
-
-
-def test_a_viewer_that_takes_nothing_is_given_up(monkeypatch, env, tmp_path):
-    monkeypatch.setattr(live_view, "_STUCK_S", 0.5)
-    path = tmp_path / "r.rrd"
-    rolled(env, path, None)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        passing = live_view.Feed(path, tmp_path, server.getsockname()[1])
-        with pytest.raises(live_view.ViewerLostError):
-            passing.step()

@@ -66,9 +66,3 @@ def test_every_action_that_prints_reads_them(path, capsys):
 def test_every_kind_of_time_becomes_a_number(kind, values):
     assert python_values(pa.array(values, kind)) == values
     assert python_values(pa.chunked_array([pa.array(values, kind)])) == values
-
-
-def test_a_time_within_a_type_that_has_no_plain_form_is_nothing():
-    times = pa.array([1], pa.duration("ns"))
-    union = pa.UnionArray.from_dense(pa.array([0], pa.int8()), pa.array([0], pa.int32()), [times])
-    assert python_values(union) == [None]

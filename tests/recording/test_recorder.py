@@ -1,13 +1,10 @@
-import resource
-import signal
-
 import mujoco
 import numpy as np
 import pytest
 import torch
 from recording.conftest import STEPS, Account, record, roll_out
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording
 from wheelleg_exp.recording.rerun_program import optimize_recording
@@ -167,119 +164,11 @@ def test_several_environments_have_a_branch_each(make_env, tmp_path):
     assert recording.static("world/env_0")["translation"] != [[0, 0, 0]], root
 
 
-def test_a_segment_ends_by_itself_and_carries_its_iteration(make_env, tmp_path):
-    env = make_env()
-    env.reset(seed=0)
-    path = tmp_path / "r.rrd"
-    with Recorder(path, env, recording_id="r", name="n", env_ids=[0], purpose="training") as recorder:
-        env.observers.append(recorder.capture)
-        action = torch.zeros(4, 6)
-        env.step(action)  # Steps before the first segment are not recorded.
-        recorder.start(iteration=4, steps=2)
-        for _ in range(5):
-            env.step(action)
-        recorder.scalars({"Train/mean reward": 1.5}, iteration=4)
-        recorder.start(iteration=9)
-        env.step(action)
-        recorder.stop()
-        env.step(action)
-        recorder.scalars({"Train/mean reward": 2.5}, iteration=9)
-    recording = Recording(path)
-    table = recording.table("base/height")
-    assert table.column("step").to_pylist() == [2, 3, 7]
-    assert table.column("iteration").to_pylist() == [4, 4, 9]
-    scalars = recording.table("training/Train/mean\\ reward")
-    found = [scalars.column(name).to_pylist() for name in ("iteration", "scalars")]
-    assert found == [[4, 9], [[1.5], [2.5]]]
-
-
-def test_texts_are_stored_and_the_last_of_a_name_counts(recorded, tmp_path):
-    path = tmp_path / "r.rrd"
-    with Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play") as recorder:
-        recorder.document("config", "first")
-        recorder.flush()
-        recorder.document("config", "# second")
-    assert Recording(path).document("config") == "# second"
-    assert Recording(path).document("absent") is None
-
-
-def test_a_resumed_recording_is_as_if_it_had_never_stopped(make_env, tmp_path):
-    record(tmp_path / "straight.rrd", make_env(), steps=20)
-    path, env = tmp_path / "resumed.rrd", make_env()
-    options = {"recording_id": "r", "name": "n", "env_ids": [1], "purpose": "play"}
-    env.reset(seed=3)
-    generator = torch.Generator().manual_seed(7)
-    actions = [0.3 * torch.randn(4, 6, generator=generator) for _ in range(20)]
-    with torch.inference_mode():
-        first = Recorder(path, env, **options)
-        first.document("config", "kept")
-        first.flush()
-        env.observers = [first.capture]
-        first.start()
-        for action in actions[:12]:
-            env.step(action)
-        checkpoint = env.state_dict()
-        for action in actions[12:15]:
-            env.step(torch.zeros_like(action))  # These steps are lost in a crash after the checkpoint.
-        first.flush()
-        path.write_bytes(path.read_bytes()[:-7])  # The last message is incomplete.
-        env = make_env()
-        env.load_state_dict(checkpoint)
-        with Recorder(path, env, **options, keep_until=env.common_step_counter) as second:
-            env.observers = [second.capture]
-            second.start()
-            for action in actions[12:]:
-                env.step(action)
-    one, two = Recording(tmp_path / "straight.rrd"), Recording(path)
-    for entity in ("base/height", "observations/critic", "rewards/total", "state/qpos"):
-        np.testing.assert_array_equal(one.values(entity), two.values(entity))
-    assert two.table("base/height").column("step").to_pylist() == list(range(1, 21))
-    assert two.document("config") == "kept"
-    assert list(tmp_path.glob(".*")) == []
-
-
-def test_a_file_that_is_no_recording_is_not_gone_on_with(recorded, tmp_path):
-    path = tmp_path / "r.rrd"
-    path.write_bytes(b"precious" * 9)
-    with pytest.raises(RunDirectoryError, match="is not a Rerun recording"):
-        Recorder(path, recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play", keep_until=3)
-    assert path.read_bytes() == b"precious" * 9
-    assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
-    with pytest.raises(RunDirectoryError, match="cannot write"):
-        Recorder(path / "below" / "r.rrd", recorded[2], recording_id="r", name="n", env_ids=[0], purpose="play")
-
-
 @pytest.mark.parametrize("env_ids", [[], [4], [-1], [0, 0]])
 def test_environments_that_do_not_exist_are_refused_before_a_file_is_made(recorded, tmp_path, env_ids):
     with pytest.raises(ConfigError, match=r"recording\.env_ids"):
         Recorder(tmp_path / "r.rrd", recorded[2], recording_id="r", name="n", env_ids=env_ids, purpose="play")
     assert not (tmp_path / "r.rrd").exists()
-
-
-def test_a_full_disk_fails_the_run_with_one_message(make_env, tmp_path):
-    path, env = tmp_path / "r.rrd", make_env(num_envs=2)
-    env.reset(seed=0)
-    recorder = Recorder(path, env, recording_id="r", name="n", env_ids=[0], purpose="play")
-    env.observers.append(recorder.capture)
-
-    def write_all() -> None:
-        with recorder:
-            recorder.start(steps=50)
-            for _ in range(60):
-                env.step(torch.zeros(2, 6))
-
-    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 5000, before[1]))
-        with pytest.raises(SimulationFailure) as caught:
-            write_all()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
-    assert env.common_step_counter == 50
-    assert str(caught.value).startswith(f"cannot write the recording '{path}': ")
-    assert "expected room on a working disk" in str(caught.value)
-    assert SimulationFailure.exit_code == 3
 
 
 def test_a_term_that_would_share_a_place_is_refused(make_env, tmp_path):

@@ -53,21 +53,6 @@ def test_pictures_show_an_episode_from_its_start_to_its_end(run, root, asked):
     assert all(len(image.attributes["alt"]) > 20 for image in found.all("img"))
 
 
-def test_the_first_episode_of_a_play_is_shown_because_its_figures_describe_that_episode(root, page, asked):
-    def write(path):
-        writer = Writer(path)
-        rows = np.arange(1, 61)
-        writer.numbers("base/height", 0.0 * rows)
-        for name in ("base_contact", "leg_contact"):
-            writer.numbers(f"terminations/{name}", rows == 10)
-        writer.close()
-
-    run = make_run(root)
-    add_recorded_play(run, write)
-    text = Page(make_report(run.path, root).path.read_text()).section("standing")
-    assert "The play, first episode: ended by base contact and leg contact after 0.20 s" in text
-
-
 def test_the_first_whole_episode_of_the_last_sample_is_shown_and_not_the_longest(root, asked):
     run = make_run(root)
     writer = Writer(run.recording)

@@ -72,13 +72,3 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work_starts(root, 
         make_report(run.path, root, tmp_path / "file" / "below" / "report.html", pictures=False)
     monkeypatch.undo()
     assert list(tmp_path.glob("**/*.tmp")) == []
-
-
-def test_the_report_of_a_renamed_run_is_replaced(root):
-    run = make_run(root)
-    made = make_report(run.path, root, pictures=False)
-    renamed = made.path.parent.rename(run.path.with_name("2026-03-01_10-00-00_0_mine"))
-    assert make_report(renamed, root, pictures=False).path == renamed / "report.html"
-    (renamed / "report.html").write_text("notes of mine")
-    with pytest.raises(RunDirectoryError, match="not overwritten"):
-        make_report(renamed, root, pictures=False)

@@ -270,16 +270,6 @@ def test_a_run_that_stopped_before_its_first_step_is_reported_as_such(run):
     assert failures(run) == {}
 
 
-def test_inexact_resumes_are_listed_first_with_their_changes(run):
-    for iteration in range(20):
-        entry = {"when": "2026-11-20T10:00:00Z", "iteration": iteration, "exact": iteration != 17}
-        entry["overrides"] = ["agent.algorithm.gamma=0.9"]
-        synthetic.edit(run, lambda data, entry=entry: data["resumes"].append(entry))
-    told = [line for line in verify_run(run).lines() if "resumed on" in line]
-    assert "from iteration 17, not exactly: agent.algorithm.gamma=0.9" in told[0]
-    assert "from iteration 0, exactly" in told[1]
-
-
 def test_a_checkpoint_from_before_a_resume_is_checked_against_its_old_record(run):
     before = {"files": dict(run.manifest().data["files"])}
     entry = {"when": "2026-11-20T10:00:00.000000Z", "iteration": 3, "overrides": [], "exact": True, "before": before}
