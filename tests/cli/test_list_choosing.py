@@ -21,7 +21,7 @@ def root(tmp_path, monkeypatch):
     overrides = [[f"seed={seed}", f"agent.algorithm.gamma={gamma}"] for seed, gamma, _ in RUNS]
     index = SweepIndex.create(root, command=[], launcher={}, jobs=[(words, words) for words in overrides])
     for number, (seed, gamma, figure) in enumerate(RUNS, 1):
-        index.job_has_run(number, make(root, number, seed, gamma, figure, "finished"))
+        index.update(number, run=index.relative(make(root, number, seed, gamma, figure, "finished")))
     make(root, 0, 7, 0.5, -2.0, "failed")
     return root
 

@@ -3,9 +3,9 @@ from itertools import cycle
 
 import pytest
 
+from wheelleg_exp.cli.configs.compose import shapes
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.explaining.term_shapes import shapes
 from wheelleg_exp.paths import configs_dir
 
 TASKS = sorted(path.stem for path in (configs_dir() / "task").glob("*.yaml"))

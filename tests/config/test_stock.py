@@ -85,7 +85,7 @@ def test_an_explicit_null_with_a_comment_is_not_a_missing_value(tmp_path):
 
 def test_the_articles_task_has_the_articles_numbers():
     """The numbers were typed from the article, not from the config files."""
-    from wheelleg_exp.config.explaining.term_shapes import shapes
+    from wheelleg_exp.cli.configs.compose import shapes
 
     composed = compose(["task=article"])
     env, agent = composed.config["env"], composed.config["agent"]

@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,8 @@ from wheelleg_exp.jobs import reproduce_result as again_of
 from wheelleg_exp.jobs.result_record import (
     machines_of,
     read_manifests,
-    read_record,
+    read_result,
     recipe,
-    require_matching_page,
     require_one_method,
     result_manifest,
     result_page,
@@ -73,8 +73,10 @@ def once(monkeypatch, made_again):
     train = again_of._trained_run
     trained = first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
     monkeypatch.setattr(again_of, "_trained_run", trained)
-    for name in ("evaluate_run", "evaluate_reference"):
-        monkeypatch.setattr(again_of, name, first(name, getattr(again_of, name)))
+    policy, controller = again_of.evaluate_run, partial(again_of.evaluate_run, reference=True)
+    policy, controller = first("policy", policy), first("reference", controller)
+    evaluate = lambda *args, reference=False: (controller if reference else policy)(*args)  # noqa: E731
+    monkeypatch.setattr(again_of, "evaluate_run", evaluate)
 
 
 def again(written, capsys, *more: str) -> tuple[int, str]:
@@ -315,9 +317,7 @@ def test_a_page_has_no_path_for_a_name(run, capsys, tmp_path, name):
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda path: path.stem)
 def test_every_page_of_the_docs_shows_its_record_and_marks_verdicts_that_depend_on_the_seeds(path):
-    record = read_record(path)
-    manifests = read_manifests(record, FOLDER)
-    require_matching_page(record, manifests, FOLDER)
+    record, manifests = read_result(path.stem, FOLDER)
     lines = result_page(record, manifests).splitlines()
     rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ")]
     marked = sorted(row[0] for row in rows if row[-1].endswith(" ¹"))

@@ -79,10 +79,14 @@ def test_the_index_describes_each_job_while_it_runs(stop):
 def test_an_index_that_cannot_be_written_ends_the_jobs(stop, monkeypatch):
     runner = stand_in(["wait", "finish"], stop, 2)
 
-    def refuse(*_, **__):
-        raise RunDirectoryError("the disk is full")
+    update = runner._index.update
 
-    monkeypatch.setattr(runner._index, "job_ended", refuse)
+    def refuse(number, **changes):
+        if "ended" in changes:
+            raise RunDirectoryError("the disk is full")
+        update(number, **changes)
+
+    monkeypatch.setattr(runner._index, "update", refuse)
     with pytest.raises(SimulationFailure, match="disk is full"):
         runner.run()
     assert not runner._running

@@ -6,6 +6,7 @@ from typing import Any
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.files import write_json, write_text, write_yaml
 from wheelleg_exp.packages import trust
+from wheelleg_exp.run.file_inventory import inventory
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.timestamps import parse_utc
@@ -55,7 +56,7 @@ def make_run(
     manifest = Manifest.begin(run.path, task="stand", seed=0, command=command, threads={"torch": 1}, now=STARTED)
     lines = "".join(json.dumps(iteration(i)) + "\n" for i in range(iterations))
     write_text(run.iterations, lines)
-    manifest.snapshot_taken({"status": "ok", "commit": "c" * 40})
+    manifest.record(source={"status": "ok", "commit": "c" * 40}, files=inventory(run.path))
     if status != "running":
         told = {"iterations": iterations, "seconds": 150.0, **(results or {})}
         manifest.finish(status, told, error, now=ENDED)  # type: ignore[arg-type]

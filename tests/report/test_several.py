@@ -125,7 +125,7 @@ def test_a_sweeps_report_is_in_its_folder(root, runs):
     jobs = [([f"seed={i}"], [f"seed={i}"]) for i in range(6)]
     index = SweepIndex.create(root, command=[], launcher={}, jobs=jobs)
     for number, run in enumerate(runs, 1):
-        index.job_has_run(number, run.path)  # The sixth job has not started.
+        index.update(number, run=index.relative(run.path))  # The sixth job has not started.
     said = wheelleg("report", index.folder.name, "--root", root, "--json")
     assert json.loads(said.out)["report"] == str(index.folder / "report.html")
     assert len(rows(Page((index.folder / "report.html").read_text(encoding="utf-8")), "runs")) == 6

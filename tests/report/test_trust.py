@@ -5,6 +5,7 @@ import pytest
 from jobs.small import ITERATIONS, copied
 
 from wheelleg_exp.files import write_text
+from wheelleg_exp.run.file_inventory import inventory
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -27,7 +28,7 @@ def _repeat(run: RunDirectory, folder, change=None, **facts) -> RunDirectory:
     old = run.manifest().data
     manifest = Manifest.begin(folder, task="stand", seed=0, command=["wheelleg"], threads=old["threads"])
     manifest.record(**facts)
-    manifest.snapshot_taken(old["source"])
+    manifest.record(source=old["source"], files=inventory(folder))
     manifest.finish("finished", old["results"])
     return RunDirectory(folder)
 

@@ -183,7 +183,7 @@ def test_listing_costs_by_the_number_of_runs_and_not_by_their_length(make_run, t
 def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):
     jobs = [(["task=stand", f"seed={seed}"], [f"seed={seed}"]) for seed in (1, 2)]
     index = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START)
-    index.job_started(1)
+    index.update(1, status="running")
     broken = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START + timedelta(hours=1))
     broken.path.write_text("{")
     first, second = list_sweeps(tmp_path)
@@ -193,7 +193,6 @@ def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):
     index.finish("finished")
     assert list_sweeps(tmp_path)[1].status == "finished"
     index.data["status"] = "running"
-    index.write_multirun("")
     index.write()
     assert list_sweeps(tmp_path)[1].status == "crashed"
 

@@ -35,9 +35,7 @@ def test_a_new_sweep_has_its_own_folder_below_sweeps_and_all_jobs_wait(tmp_path)
 def test_what_is_recorded_is_read_back(tmp_path, make_run):
     index = make(tmp_path / "runs")
     run = make_run("stand", 1)
-    index.job_started(1)
-    index.job_has_run(1, run.path)
-    index.job_ended(1, "finished", {"iterations": 3})
+    index.update(1, run=index.relative(run.path), status="finished", results={"iterations": 3})
     again = SweepIndex.load(index.folder)
     assert (again.data, again.jobs[0]["run"]) == (index.data, f"../../stand/{run.id}")
     assert again.run_of(again.jobs[0]) == run.path
@@ -50,7 +48,7 @@ def test_what_is_recorded_is_read_back(tmp_path, make_run):
 
 def test_a_job_that_nobody_saw_end_is_interrupted(tmp_path):
     index = make(tmp_path)
-    index.job_started(1)
+    index.update(1, status="running")
     index.finish("interrupted")
     assert [job["status"] for job in SweepIndex.load(index.folder).jobs] == ["interrupted", "waiting"]
     assert index.data["ended"] is not None

@@ -83,7 +83,9 @@ def build(root: Path) -> RunDirectory:
     run.environment.write_text("# python\nnumpy==2.0\nPyYAML==6.0  # editable\n")
     _write_source(run.source)
     _write_asset(run.asset)
-    manifest.snapshot_taken({"status": "ok", "commit": "c" * 40, "tree": "a" * 40, "dirty": True})
+    manifest.record(
+        source={"status": "ok", "commit": "c" * 40, "tree": "a" * 40, "dirty": True}, files=inventory(run.path)
+    )
     run.iterations.write_text("".join(json.dumps(line(i)) + "\n" for i in range(ITERATIONS)))
     for iteration in CHECKPOINTS:
         (run.path / f"model_{iteration}.pt").write_bytes(checkpoint.serialize(state(iteration)))

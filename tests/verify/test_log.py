@@ -3,7 +3,7 @@ import json
 import pytest
 
 from verify import synthetic
-from wheelleg_exp.jobs.train.resume_point import find_point
+from wheelleg_exp.jobs.train.resume_training import find_point
 from wheelleg_exp.run.iteration_log import read_log
 
 

@@ -63,27 +63,21 @@ class Evaluator:
 
     def policy(self, run: RunDirectory, checkpoint: Path, overrides: Sequence[str]) -> Evaluated:
         """Evaluate the policy of a run, or load the run's stored evaluation."""
-        from wheelleg_exp.jobs import evaluate_policy as jobs
+        from wheelleg_exp.jobs.evaluate_policy import evaluate_run, stored_evaluation
 
-        if self.stored:
-            from wheelleg_exp.files import sha256
-            from wheelleg_exp.jobs.saved_evaluation import read_content, read_evaluation
-
-            settings = jobs.evaluation_settings(run, overrides, self.config_dirs)
-            folder = jobs.find_saved(run, sha256(checkpoint), settings, overrides)
-            if folder is not None:
-                found, content = read_evaluation(folder), read_content(folder)
-                return jobs.Evaluated(run, checkpoint, folder, found, content)
+        if self.stored and (made := stored_evaluation(run, checkpoint, overrides, self.config_dirs)) is not None:
+            return made
         from wheelleg_exp.inspection.evaluation_plots import draw
 
-        return jobs.evaluate_run(run, checkpoint, overrides, self.command, self.progress, self.config_dirs, draw)
+        return evaluate_run(run, checkpoint, overrides, self.command, self.progress, self.config_dirs, draw)
 
     def reference(self, made: Evaluated, overrides: Sequence[str]) -> Evaluated:
         """Evaluate the linear-quadratic reference controller on the robot and task of an evaluated run."""
         from wheelleg_exp.inspection.evaluation_plots import draw
-        from wheelleg_exp.jobs.evaluate_policy import evaluate_reference
+        from wheelleg_exp.jobs.evaluate_policy import evaluate_run
 
-        return evaluate_reference(made.run, overrides, self.command, self.progress, self.config_dirs, draw)
+        settings = (self.command, self.progress, self.config_dirs, draw)
+        return evaluate_run(made.run, None, overrides, *settings, reference=True)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -20,8 +20,6 @@ from wheelleg_exp.cli.printing.terminal import styled
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, RunDirectoryError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from wheelleg_exp.inspection.recording_target import Target
     from wheelleg_exp.inspection.row_selection import Selection
     from wheelleg_exp.recording.reading.recording_reader import Recording
@@ -286,25 +284,21 @@ def _plot(args: argparse.Namespace, inspected: Inspected) -> Result:
     from wheelleg_exp.inspection.plot_data import Source
 
     recording_plots.require_path(args.plot)
-    recording_plots.save(_figure(args, inspected), args.plot)
-    source = Source(inspected.recording, selection=inspected.selection)
+    recording, chosen = inspected.recording, inspected.selection
+    if args.compare is not None:
+        other = _other_recording(args)
+        paths = [path.resolve() for path in (inspected.target.path, other.path)]
+        names = [path.stem if path.stem != "recording" else path.parent.name for path in paths]
+        if names[0] == names[1]:
+            names = [f"{name} ({i})" for i, name in enumerate(names, start=1)]
+        figure = recording_plots.overlay({names[0]: recording, names[1]: other}, args.term, selection=chosen)
+    elif args.term:
+        figure = recording_plots.terms_figure(recording, args.term, selection=chosen)
+    else:
+        figure = recording_plots.default_page(recording, selection=chosen)
+    recording_plots.save(figure, args.plot)
+    source = Source(recording, selection=chosen)
     return _written(args.plot, {"env": source.env_id}, f" ({source.whose})" if source.whose else "")
-
-
-def _figure(args: argparse.Namespace, inspected: Inspected) -> Figure:
-    from wheelleg_exp.inspection import recording_plots
-
-    chosen = inspected.selection
-    if args.compare is None:
-        if args.term:
-            return recording_plots.terms_figure(inspected.recording, args.term, selection=chosen)
-        return recording_plots.default_page(inspected.recording, selection=chosen)
-    recordings = (inspected.recording, _other_recording(args))
-    paths = [path.resolve() for path in (inspected.target.path, recordings[1].path)]
-    names = [path.stem if path.stem != "recording" else path.parent.name for path in paths]
-    if names[0] == names[1]:
-        names = [f"{name} ({i})" for i, name in enumerate(names, start=1)]
-    return recording_plots.overlay(dict(zip(names, recordings, strict=True)), args.term, selection=chosen)
 
 
 def _export(args: argparse.Namespace, inspected: Inspected) -> Result:

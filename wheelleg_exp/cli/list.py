@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +15,7 @@ from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_tabl
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.catalog import Entry
 from wheelleg_exp.definitions import LAST, LISTED, percent
-from wheelleg_exp.errors import EXIT_OK, WheellegError, nearest_name
+from wheelleg_exp.errors import EXIT_OK, RunDirectoryError, WheellegError, nearest_name
 from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_list import RunSummary, SweepSummary
 from wheelleg_exp.run.timestamps import utc_text
@@ -157,7 +158,8 @@ def _terms(args: argparse.Namespace) -> Listed:
 def _pipelines(args: argparse.Namespace) -> Listed:
     """Return the pipelines that configs declare, followed by the started pipelines, the newest first."""
     from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
-    from wheelleg_exp.run.run_index import pipelines_below
+    from wheelleg_exp.run.run_directory import PIPELINE_NAME, PIPELINES
+    from wheelleg_exp.run.run_index import PipelineIndex
     from wheelleg_exp.terms.key_syntax import PIPELINE
 
     rows: list[list[object]] = []
@@ -167,9 +169,11 @@ def _pipelines(args: argparse.Namespace) -> Listed:
         except WheellegError as error:  # Print only the error's first line; ``wheelleg train`` prints all lines.
             phases = f"wrong: {error.message.splitlines()[0].rstrip(':')}"
         rows.append([entry.name, "declared", phases, entry.help, entry.file])
-    for index in pipelines_below(_runs_folder(args.root)):
-        phases = ", ".join(f"{phase['name']} {phase['status']}" for phase in index.phases)
-        rows.append([index.data["name"], index.data["status"], phases, index.data["why"], index.folder])
+    for path in sorted((_runs_folder(args.root) / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
+        with suppress(RunDirectoryError):  # Skip a pipeline with a damaged index file.
+            index = PipelineIndex.load(path.parent)
+            phases = ", ".join(f"{phase['name']} {phase['status']}" for phase in index.phases)
+            rows.append([index.data["name"], index.data["status"], phases, index.data["why"], index.folder])
     return _table(["pipeline", "status", "phases", "help", "file"], rows)
 
 

@@ -69,8 +69,8 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     with ranks.agreed():
         _opened(args)
 
-    from wheelleg_exp.jobs.train.other_ranks import run_other_rank
     from wheelleg_exp.jobs.train.resume_training import prepare_other_rank
+    from wheelleg_exp.jobs.train.run_training import run_other_rank
 
     stop.check(ranks.any(stop.requested))
     run_other_rank(*prepare_other_rank(ranks, args.config_dirs), stop)

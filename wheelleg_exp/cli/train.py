@@ -81,11 +81,12 @@ def _follow(args: argparse.Namespace, stop: StopRequest, ranks: Ranks) -> None:
     with ranks.agreed():
         composed = compose_valid(args.overrides, config_dirs=args.config_dirs)
 
-    from wheelleg_exp.jobs.train import other_ranks
+    from wheelleg_exp.jobs.train.prepare_training import prepare_other_rank
+    from wheelleg_exp.jobs.train.run_training import run_other_rank
 
     stop.check(ranks.any(stop.requested))
     ranks.require_equal(_digests(composed))
-    other_ranks.run_other_rank(*other_ranks.prepare_other_rank(composed, ranks), stop)
+    run_other_rank(*prepare_other_rank(composed, ranks), stop)
 
 
 def _digests(composed: Composed) -> dict[str, str]:

@@ -64,7 +64,7 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
 
 def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:
     """Resume a training pipeline at the phase in which the pipeline stopped."""
-    from wheelleg_exp.jobs.pipeline.resume_pipeline import resume_pipeline as prepare
+    from wheelleg_exp.jobs.pipeline.run_pipeline import resume_pipeline as prepare
     from wheelleg_exp.run.run_index import PipelineIndex
 
     index = PipelineIndex.load(folder)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from wheelleg_exp.cli.arguments import print_json
 from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, WheellegError
+from wheelleg_exp.files import write_text
 from wheelleg_exp.packages import with_current
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         from wheelleg_exp.jobs.run_sweep import SweepRunner
         from wheelleg_exp.jobs.sweep_queue import make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
-        from wheelleg_exp.run.run_index import SweepIndex
+        from wheelleg_exp.run.run_index import MULTIRUN_NAME, SweepIndex
 
         # Omit the current project's config folder from ``--config-dir``, because commands always search this folder.
         own: list[Path] = []
@@ -57,7 +58,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         entries = [(job.overrides, job.swept) for job in sweep.jobs]
         index = SweepIndex.create(root, command=args.command, launcher=facts, jobs=entries)
         sweep.multirun.hydra.sweep.dir = str(index.folder)
-        index.write_multirun(OmegaConf.to_yaml(sweep.multirun))
+        write_text(index.folder / MULTIRUN_NAME, OmegaConf.to_yaml(sweep.multirun))
         display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
         crowded = _crowded(sweep, at_once)
         if crowded:

@@ -14,6 +14,7 @@ import torch
 
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
 from wheelleg_exp.evaluation.result import Figure
+from wheelleg_exp.evaluation.trajectories import rms
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.mdp.root_motion import SIDES
 
@@ -246,7 +247,10 @@ class Measure(NamedTuple):
 
 
 POSTURE = (
-    Measure("height_rmse_m", "m", quadratic, "lower", lambda m: m.height_error()),
+    Measure(
+        *("height_rmse_m", "m", quadratic, "lower"),
+        lambda m: None if m.target is None else m.rms(m.made.height - m.target),
+    ),
     Measure("height_mean_m", "m", mean, "", lambda m: m.mean(m.made.height)),
     Measure("pitch_rms_rad", "rad", quadratic, "lower", lambda m: m.rms(m.made.pitch)),
     Measure("pitch_std_rad", "rad", quadratic, "lower", lambda m: m.rms(m.made.pitch.double() - m.mean(m.made.pitch))),
@@ -274,7 +278,10 @@ MOTION = (
     Measure("cost_of_transport_net", "", median, "lower", lambda m: m.total(m.made.work[..., 1]) / m.weight_distance),
     Measure("action_rate_per_s", "1/s", mean, "lower", lambda m: m.action_change(1)),
     Measure("action_acceleration_per_s2", "1/s²", mean, "lower", lambda m: m.action_change(2)),
-    Measure("torque_difference_rms_nm", "N·m", quadratic, "lower", lambda m: m.torque_change()),
+    Measure(
+        *("torque_difference_rms_nm", "N·m", quadratic, "lower"),
+        lambda m: rms(m.driven_torque.diff(dim=0), m.counted[1:] & m.counted[:-1]),
+    ),
     Measure("fast_power_share", "", mean, "lower", lambda m: m.fast_power_share()),
 )
 

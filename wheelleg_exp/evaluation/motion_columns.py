@@ -84,10 +84,6 @@ class Motion:
         """Return the largest of ``values`` (T, N) over all control steps after the settling time, (N,)."""
         return largest(values, self.counted)
 
-    def height_error(self) -> torch.Tensor | None:
-        """Return the RMS error of the base's height from the target height, m, (N,); None without a target height."""
-        return None if self.target is None else self.rms(self.made.height - self.target)
-
     def leg_asymmetry(self) -> torch.Tensor | None:
         """Return the RMS difference between the positions of left and mirrored right leg joints, rad, (N,)."""
         parts, joints = self.parts, self.made.joint_pos
@@ -100,10 +96,6 @@ class Motion:
         for _ in range(order):
             change, counted = change.diff(dim=0), counted[1:] & counted[:-1]
         return mean(change.abs(), counted) / self.made.dt**order
-
-    def torque_change(self) -> torch.Tensor:
-        """Return the RMS change of the motor torques from one control step to the next, N·m, (N,)."""
-        return rms(self.driven_torque.diff(dim=0), self.counted[1:] & self.counted[:-1])
 
     def fast_power_share(self) -> torch.Tensor:
         """Return the share of the motor torques' spectral power above 10 Hz, (N,); NaN for ended episodes."""

@@ -6,11 +6,9 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose
-from wheelleg_exp.config.composing.provenance import Mount
 from wheelleg_exp.config.explaining import catalog
 from wheelleg_exp.config.explaining.config_diff import Side
 from wheelleg_exp.config.tree_lookup import line_table
@@ -63,7 +61,16 @@ def _load(text: str, root: Path, config_dirs: Sequence[Path]) -> tuple[Side, Com
         words = [f"task={first}", *rest]
     composed = compose(words, config_dirs=config_dirs)
     tree = {section: composed.config[section] for section in SECTIONS if section in composed.config}
-    return Side(text or "(no overrides)", tree, partial(_who, composed, composed.mounts)), composed
+    places = composed.provenance
+    lists = {mount.package: mount.choices[-1].where for mount in composed.mounts if mount.several}
+
+    def where(path: str) -> str | None:
+        if path in lists:
+            return lists[path]
+        found = places.below(path) or places.deleted_below(path)
+        return found[0].where if found else lists.get(dotted(split_path(path)[:-1]))
+
+    return Side(text or "(no overrides)", tree, where), composed
 
 
 def split_words(text: str) -> list[str]:
@@ -84,16 +91,6 @@ def split_words(text: str) -> list[str]:
         message = "the command line has an unclosed quote or bracket"
         raise WheellegError(message, key=text, expected="closed quotes and brackets")
     return [word for word in words if word]
-
-
-def _who(composed: Composed, mounted: list[Mount], path: str) -> str | None:
-    """Return where a config key was set or deleted: a YAML line, an override, or None (unknown)."""
-    places, keys = composed.provenance, split_path(path)
-    lists = {mount.package: mount.choices[-1].where for mount in mounted if mount.several}
-    if path in lists:
-        return lists[path]
-    found = places.below(path) or places.deleted_below(path)
-    return found[0].where if found else lists.get(dotted(keys[:-1]))
 
 
 def _run(run: RunDirectory, overrides: Sequence[str]) -> Side:

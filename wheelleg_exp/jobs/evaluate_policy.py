@@ -23,9 +23,9 @@ from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.protocol import MakePolicy, Progress, evaluate
 from wheelleg_exp.evaluation.protocol_options import EvaluateRoot, Protocol
 from wheelleg_exp.evaluation.result import Evaluation
-from wheelleg_exp.files import write_json
+from wheelleg_exp.files import sha256, write_json
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
-from wheelleg_exp.jobs.saved_evaluation import EPISODES, RESULT, read_content, write_episodes
+from wheelleg_exp.jobs.saved_evaluation import EPISODES, RESULT, read_content, read_evaluation, write_episodes
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.rl.network_loading import load_policy
@@ -123,45 +123,27 @@ def evaluate_run(
     progress: Progress | None = None,
     config_dirs: Sequence[Path] = (),
     draw: Draw | None = None,
+    *,
+    reference: bool = False,
 ) -> Evaluated:
-    """Evaluate the mean action of a checkpoint (default: the last), and save the result in the run directory."""
-    checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
-    settings = evaluation_settings(run, overrides, config_dirs)
-    found = _evaluate(settings, saved_mjcf(run), policy_of(checkpoint, settings.config.agent), progress)
-    content = {**checkpoint_facts(run, checkpoint), "overrides": list(overrides), **found.as_dict()}
-    return Evaluated(run, checkpoint, _save(run, "evaluation", content, found, command, draw), found, content)
+    """Evaluate the mean action of a checkpoint (default: the last), and save the result in the run directory.
 
+    With ``reference``, evaluate an LQR controller instead; ConfigError means that it cannot balance the robot.
+    ``progress`` is called with the name of the current test, the finished steps, and the total steps of this test.
+    """
+    if checkpoint is None and not reference:
+        checkpoint = run.latest_checkpoint()
+    settings, controllers = evaluation_settings(run, overrides, config_dirs), list[Reference]()
 
-def evaluate_reference(
-    run: RunDirectory,
-    overrides: Sequence[str],
-    command: Sequence[str],
-    progress: Progress | None = None,
-    config_dirs: Sequence[Path] = (),
-    draw: Draw | None = None,
-) -> Evaluated:
-    """Evaluate an LQR controller like ``evaluate_run``; ConfigError means that it cannot balance the robot."""
-    settings = evaluation_settings(run, overrides, config_dirs)
-    made: list[Reference] = []
+    def make_controller(env: ManagerBasedRLEnv) -> Reference:
+        controllers.append(Reference(env, settings.config.protocol.command))
+        return controllers[-1]
 
-    def make(env: ManagerBasedRLEnv) -> Reference:
-        made.append(Reference(env, settings.config.protocol.command))
-        return made[-1]
-
+    make = make_controller if checkpoint is None else policy_of(checkpoint, settings.config.agent)
     found = _evaluate(settings, saved_mjcf(run), make, progress)
-    content = {"policy": Reference.name, **made[0].describe(), "overrides": list(overrides), **found.as_dict()}
-    return Evaluated(run, None, _save(run, Reference.name, content, found, command, draw), found, content)
-
-
-def _save(
-    run: RunDirectory,
-    kind: str,
-    content: dict[str, object],
-    found: Evaluation,
-    command: Sequence[str],
-    draw: Draw | None,
-) -> Path:
-    """Write the evaluation into a new folder of the run directory, atomically, and return this folder."""
+    content: dict[str, Any] = {"policy": Reference.name, **controllers[0].describe()} if checkpoint is None else {}
+    content |= {} if checkpoint is None else checkpoint_facts(run, checkpoint)
+    content |= {"overrides": list(overrides), **found.as_dict()}
     with dated_folder(run.evaluation) as folder:
         write_episodes(folder / EPISODES, found.episodes)
         write_json(folder / RESULT, content)
@@ -169,8 +151,8 @@ def _save(
         keys = ("checkpoint", "checkpoint_sha256", "seed", "scenarios_sha256", "starts_sha256")
         results = {"protocol": found.protocol["name"], **{key: content[key] for key in keys if key in content}}
         results["metrics"] = {name: figure.as_dict()["value"] for name, figure in found.metrics.items()}
-        run.manifest().add(kind, files, results, command=command)
-    return folder
+        run.manifest().add(Reference.name if checkpoint is None else "evaluation", files, results, command=command)
+    return Evaluated(run, checkpoint, folder, found, content)
 
 
 @ending_as(SimulationFailure)
@@ -198,15 +180,16 @@ def policy_of(checkpoint: Path, agent: Learning) -> MakePolicy:
     return make
 
 
-def find_saved(
-    run: RunDirectory, checkpoint: str, settings: EvaluationSettings, overrides: Sequence[str]
-) -> Path | None:
-    """Return the folder of the newest evaluation of a checkpoint (its sha256) with equal settings, or None."""
-    asked = (checkpoint, settings.config.seed, settings.protocol, run_overrides(overrides))
+def stored_evaluation(
+    run: RunDirectory, checkpoint: Path, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
+) -> Evaluated | None:
+    """Load the newest evaluation of a checkpoint with equal settings from the run directory, or return None."""
+    settings = evaluation_settings(run, overrides, config_dirs)
+    asked = (sha256(checkpoint), settings.config.seed, settings.protocol, run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
     for folder in sorted(folders, reverse=True):
         content = read_content(folder)
         made = tuple(content.get(key) for key in ("checkpoint_sha256", "seed", "protocol"))
         if (*made, run_overrides(content.get("overrides") or [])) == asked:
-            return folder
+            return Evaluated(run, checkpoint, folder, read_evaluation(folder), content)
     return None

@@ -11,7 +11,7 @@ from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.files import json_plain
 from wheelleg_exp.jobs import result_record
 from wheelleg_exp.jobs.compare_evaluations import compare
-from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_reference, evaluate_run
+from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_run
 from wheelleg_exp.jobs.result_record import EvaluationNumbers, MetricNumbers, Recipe, ResultManifest, ResultRecord
 from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.jobs.training_job import JobRequest, run_request
@@ -73,7 +73,7 @@ def reproduce(
     reference = None
     if record["reference"] is not None:
         say("reference: evaluating")
-        reference = evaluate_reference(runs[0].run, record["words"], _COMMAND, None, config_dirs)
+        reference = evaluate_run(runs[0].run, None, record["words"], _COMMAND, None, config_dirs, reference=True)
     made = [run.run.manifest().facts for run in runs]
     trees = [one.source.tree for one in manifests], [one.source and one.source.tree for one in made]
     found = list(_differences(record, runs, reference))

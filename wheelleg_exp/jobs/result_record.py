@@ -129,7 +129,19 @@ def result_page(record: ResultRecord, manifests: Sequence[ResultManifest]) -> st
     parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
     for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
         parts += [f"## {group}\n", *_table(record, list(names)), ""]
-    parts += ["## How it was made\n", *_commands_and_runs(record, manifests)]
+    parts += ["## How it was made\n", "```"]
+    for run in record["runs"]:
+        parts += _commands(run["train"])
+    reference = " --reference" if record["reference"] else ""
+    parts.append(f"wheelleg results {record['name']} RUN ...{reference} {shlex.join(record['words'])}".rstrip())
+    parts += ["```\n", "| run | seed | commit | networks |", "|---|---|---|---|"]
+    for run, manifest in zip(record["runs"], manifests, strict=True):
+        commit = str(manifest.source.commit)[:12] + (" and changes" if manifest.source.dirty else "")
+        seeds = ", ".join(map(str, manifest.seeds))
+        link = f"[{manifest.id}]({record['name']}/{manifest.id}.json)"
+        parts.append(f"| {link} | {seeds} | {commit} | `{run['parameters']}` |")
+    again = f"`nox -s results -- {record['name']}`"
+    parts.append(f"\n{again} retrains and re-evaluates the policies to check this page's numbers.")
     return "\n".join(parts) + "\n"
 
 
@@ -193,23 +205,6 @@ def _outcome(difference: DifferenceRow, count: int) -> str:
     outcome, low, high = difference["outcome"], difference["interval"]["low"], difference["interval"]["high"]
     alone = outcome and count > 1 and low is not None and high is not None and low < 0.0 < high
     return f"{outcome} {_MARK}" if alone else outcome
-
-
-def _commands_and_runs(record: ResultRecord, manifests: Sequence[ResultManifest]) -> Iterator[str]:
-    yield "```"
-    for run in record["runs"]:
-        yield from _commands(run["train"])
-    reference = " --reference" if record["reference"] else ""
-    yield f"wheelleg results {record['name']} RUN ...{reference} {shlex.join(record['words'])}".rstrip()
-    yield "```\n"
-    yield "| run | seed | commit | networks |"
-    yield "|---|---|---|---|"
-    for run, manifest in zip(record["runs"], manifests, strict=True):
-        commit = str(manifest.source.commit)[:12] + (" and changes" if manifest.source.dirty else "")
-        seeds = ", ".join(map(str, manifest.seeds))
-        link = f"[{manifest.id}]({record['name']}/{manifest.id}.json)"
-        yield f"| {link} | {seeds} | {commit} | `{run['parameters']}` |"
-    yield f"\n`nox -s results -- {record['name']}` retrains and re-evaluates the policies to check this page's numbers."
 
 
 def _commands(recipe: Recipe) -> Iterator[str]:
@@ -318,21 +313,16 @@ def read_result(name: str, folder: Path) -> tuple[ResultRecord, list[ResultManif
     trained = [word for run in record["runs"] for word in _recipe_overrides(run["train"])]
     require_overrides([*record["words"], *trained], path)
     manifests = read_manifests(record, folder)
-    require_matching_page(record, manifests, folder)
+    page = folder / f"{name}.md"
+    if read_text(page) != result_page(record, manifests):
+        expected = "the page that wheelleg results wrote: only one of page and record was changed"
+        raise RunDirectoryError("the result's page and the result's JSON file differ", key=str(page), expected=expected)
     return record, manifests
 
 
 def _recipe_overrides(made: Recipe) -> list[str]:
     """Return a training's overrides, followed by those of the training that produced its initial policy."""
     return [*made["overrides"], *(_recipe_overrides(made["begins_with"]) if made["begins_with"] else ())]
-
-
-def require_matching_page(record: ResultRecord, manifests: Sequence[ResultManifest], folder: Path) -> None:
-    """Raise RunDirectoryError if a result's page ``NAME.md`` does not agree with the numbers in ``NAME.json``."""
-    path = folder / f"{record['name']}.md"
-    if read_text(path) != result_page(record, manifests):
-        expected = "the page that wheelleg results wrote: only one of page and record was changed"
-        raise RunDirectoryError("the result's page and the result's JSON file differ", key=str(path), expected=expected)
 
 
 def recipe(run: RunDirectory) -> Recipe:

@@ -16,6 +16,7 @@ from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import JobEntry, JobStatus, SweepIndex, SweepStatus
+from wheelleg_exp.run.timestamps import utc_now, utc_text
 from wheelleg_exp.stop_request import StopRequest
 
 _WAIT_S, _PATIENCE_S = 0.2, 10.0
@@ -101,7 +102,7 @@ class SweepRunner:
 
     def _start(self, entry: JobEntry, request: JobRequest) -> None:
         if not self._launcher.queued:
-            self._index.job_started(entry["number"])
+            self._index.update(entry["number"], status="running", started=utc_text(utc_now()))
         self._running[self._launcher.start(entry["number"], request)] = entry
         if not self._launcher.queued:
             self._display.started(entry)
@@ -110,10 +111,10 @@ class SweepRunner:
         for source, event in self._launcher.listen(self._running, wait_s):
             job, kind = self._running[source], event["event"]
             if kind == "began":
-                self._index.job_started(job["number"])
+                self._index.update(job["number"], status="running", started=utc_text(utc_now()))
                 self._display.started(job)
             elif kind == "run":
-                self._index.job_has_run(job["number"], Path(event["path"]))
+                self._index.update(job["number"], run=self._index.relative(Path(event["path"])))
             elif kind == "iteration":
                 self._display.iteration(job, event["done"], event["total"], event["scalars"])
             elif kind == "note":
@@ -127,7 +128,9 @@ class SweepRunner:
             job.close()
             if entry["status"] == "waiting" and self._stop.requested:
                 continue
-            self._index.job_ended(entry["number"], *self._outcome(entry, job))
+            status, results, error = self._outcome(entry, job)
+            ended = utc_text(utc_now())
+            self._index.update(entry["number"], status=status, ended=ended, results=dict(results), error=error)
             self._display.ended(entry)
 
     def _outcome(self, entry: JobEntry, job: Job) -> tuple[JobStatus, Mapping[str, object], object]:

@@ -199,15 +199,6 @@ class Manifest:
         with for_people(self.path, "read"):
             return bytes_match_digest(self.path.read_bytes())
 
-    def snapshot_taken(self, source: Mapping[str, object]) -> None:
-        """Record that the snapshot is complete: the source state, and the digests of the present files."""
-
-        def change(data: dict[str, Any]) -> None:
-            data["source"] = dict(source)
-            data["files"] = inventory(self.directory)
-
-        self._update(change)
-
     def finish(
         self,
         status: Ended,

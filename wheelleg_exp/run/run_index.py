@@ -11,10 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, TypedDict
+from typing import Any, ClassVar, Literal, NotRequired, Self, TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import json_plain, read_json, write_json, write_text
+from wheelleg_exp.files import json_plain, read_json, write_json
 from wheelleg_exp.run.records import read_record
 from wheelleg_exp.run.run_directory import (
     PIPELINE_NAME,
@@ -49,23 +49,15 @@ class JobEntry(TypedDict):
     error: object
 
 
-class _Reasons(TypedDict, total=False):
-    why: list[str]
-
-
-class GateEntry(_Reasons):
+class GateEntry(TypedDict):
     """The evaluation after ``iteration`` iterations that decides whether a phase has passed."""
 
     iteration: int
     passed: bool
+    why: NotRequired[list[str]]
 
 
-class _PhaseTimes(TypedDict, total=False):
-    started: str | None
-    ended: str | None
-
-
-class PhaseEntry(_PhaseTimes):
+class PhaseEntry(TypedDict):
     """A phase in ``pipeline.json``.
 
     ``why`` is the reason to continue or to stop after the phase, ``digest`` a hash of the phase's config, and
@@ -80,6 +72,8 @@ class PhaseEntry(_PhaseTimes):
     run: str | None
     init_from: str | None
     gates: list[GateEntry]
+    started: NotRequired[str | None]
+    ended: NotRequired[str | None]
 
 
 class _PipelineConfig(TypedDict):
@@ -203,18 +197,6 @@ class SweepIndex(_RunIndex):
         found: list[JobEntry] = self.data["jobs"]
         return found
 
-    def write_multirun(self, text: str) -> None:
-        write_text(self.folder / MULTIRUN_NAME, text)
-
-    def job_started(self, number: int) -> None:
-        self._update_job(number, status="running", started=utc_text(utc_now()))
-
-    def job_has_run(self, number: int, run: Path) -> None:
-        self._update_job(number, run=self.relative(run))
-
-    def job_ended(self, number: int, status: JobStatus, results: Mapping[str, object], error: object = None) -> None:
-        self._update_job(number, status=status, ended=utc_text(utc_now()), results=dict(results), error=error)
-
     def finish(self, status: SweepStatus) -> None:
         """Record how the sweep ended; a job without a recorded end counts as interrupted."""
         for job in self.jobs:
@@ -223,7 +205,7 @@ class SweepIndex(_RunIndex):
         self.data |= {"status": status, "ended": utc_text(utc_now())}
         self.write()
 
-    def _update_job(self, number: int, **changes: object) -> None:
+    def update(self, number: int, **changes: object) -> None:
         self.data["jobs"][number - 1].update(changes)
         self.write()
 
@@ -341,12 +323,3 @@ def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
             return folder.resolve()
     path = Path(named)
     return path.parent.resolve() if path.name == PIPELINE_NAME and is_pipeline(path.parent) else None
-
-
-def pipelines_below(root: Path) -> list[PipelineIndex]:
-    """Return the pipelines in a folder of runs, the newest first; skip pipelines with a damaged index file."""
-    found = []
-    for path in sorted((root / PIPELINES).glob(f"*/{PIPELINE_NAME}"), reverse=True):
-        with suppress(RunDirectoryError):
-            found.append(PipelineIndex.load(path.parent))
-    return found

@@ -8,6 +8,7 @@ from pathlib import Path
 from wheelleg_exp.config.schema import RunOptions
 from wheelleg_exp.files import write_text
 from wheelleg_exp.run.environment import environment_text, requested_variables, variables
+from wheelleg_exp.run.file_inventory import inventory
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import require_resolved, write_params
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -60,4 +61,4 @@ def complete_snapshot(
     cap = RunOptions().max_patch_mb if max_patch_mb is None else max_patch_mb
     source = snapshot_source(source_roots, directory.source, runs_root=directory.root, max_patch_mb=cap)
     write_text(directory.environment, environment_text(threads))
-    manifest.snapshot_taken({key: getattr(source[0], key) for key in _SUMMARY})
+    manifest.record(source={key: getattr(source[0], key) for key in _SUMMARY}, files=inventory(directory.path))

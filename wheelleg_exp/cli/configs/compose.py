@@ -1,10 +1,9 @@
-"""``wheelleg compose``: print the composed config."""
+"""``wheelleg compose``: print the composed config, or the layout of a policy's observations and actions."""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass
 
 from wheelleg_exp.cli.arguments import (
     add_json,
@@ -19,12 +18,10 @@ from wheelleg_exp.cli.printing.terminal import hanging, print_table, screen_widt
 from wheelleg_exp.config.composing.compose import Composed, compose
 from wheelleg_exp.config.composing.hydra_errors import nearest_path
 from wheelleg_exp.config.composing.provenance import Source
+from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.tree_lookup import node_paths, select
 from wheelleg_exp.errors import EXIT_OK, ConfigError, WheellegError
 from wheelleg_exp.terms.key_syntax import dotted
-
-if TYPE_CHECKING:
-    from wheelleg_exp.config.explaining.term_shapes import GroupShape, TermShape
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -110,11 +107,78 @@ def _document(source: Source, value: object) -> dict[str, object]:
     return {**source_document(source), "value": value, "shadowed": [source_document(s) for s in source.shadowed]}
 
 
-def _print_shapes(composed: Composed, *, as_json: bool) -> None:
-    from wheelleg_exp.config.checking.find_mistakes import require_valid
-    from wheelleg_exp.config.explaining.term_shapes import shapes
+@dataclass(frozen=True)
+class TermShape:
+    """One term of an observation group, or one action term.
 
-    require_valid(composed)
+    ``width`` is the number of components of the observation or action in one control step. ``history`` is the number of
+    control steps that an observation term stores; 0 means only the present control step. The term's components
+    are the slice ``start:stop`` of the observation or action vector; None if there is no such slice. ``joints``
+    contains the joints that an action term drives, in the order of the term's components.
+    """
+
+    name: str
+    target: str
+    width: int
+    history: int
+    shape: tuple[int, ...]
+    start: int | None
+    stop: int | None
+    joints: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class GroupShape:
+    """The layout of an observation group, or of all actions.
+
+    ``shape`` is the shape of the concatenated terms without the environment dimension; None without concatenation.
+    """
+
+    terms: tuple[TermShape, ...]
+    shape: tuple[int, ...] | None
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The layout of a policy's inputs and outputs; ``joints`` contains the joint names in the robot's default order."""
+
+    joints: tuple[str, ...]
+    observations: dict[str, GroupShape]
+    actions: GroupShape
+
+
+def shapes(composed: Composed) -> Shapes:
+    """Return the layout of the observations and actions that a config describes."""
+    from wheelleg_exp.build import build_env
+
+    config = {**composed.config, "env": {**composed.config["env"], "num_envs": 1}}
+    with composed.placing():
+        env = build_env(config, composed.asset_roots)
+    groups, observations = {}, env.observation_manager
+    for group in observations.active_terms:
+        dims, terms = observations.group_obs_dim[group], []
+        parts = observations.term_parts(group) if isinstance(dims, tuple) else {}
+        for name, term in observations.terms(group).items():
+            places = parts.get(name, ())
+            begin, end = (places[0].start, places[0].stop) if len(places) == 1 else (None, None)
+            shape = TermShape(name, term.term.target, term.width, term.history_length, tuple(term.shape), begin, end)
+            terms.append(shape)
+        groups[group] = GroupShape(tuple(terms), dims if isinstance(dims, tuple) else None)
+    manager = env.action_manager
+    made, start = [], 0
+    for name, width in zip(manager.active_terms, manager.action_term_dim, strict=True):
+        target = manager.get_term_cfg(name).target
+        joints = tuple(getattr(manager.get_term(name), "joint_names", ()))
+        made.append(TermShape(name, target, width, 0, (width,), start, start + width, joints))
+        start += width
+    return Shapes(tuple(env.scene.robot.joint_names), groups, GroupShape(tuple(made), (manager.total_action_dim,)))
+
+
+def _print_shapes(composed: Composed, *, as_json: bool) -> None:
+    from wheelleg_exp.config.checking.find_mistakes import check
+
+    if mistakes := check(composed):
+        raise_all(mistakes)
     found = shapes(composed)
     if as_json:
         groups = {name: _group_document(group) for name, group in found.observations.items()}

@@ -121,21 +121,17 @@ def wrapped(text: str, width: int) -> list[str]:
         else:
             lines.append(piece.lstrip())
         if len(lines[-1]) > width:
-            lines[-1:] = _broken(lines[-1], width)
+            parts = _pieces(lines.pop())
+            lines.append("")
+            for part in parts:
+                lines += [""] if lines[-1] and len(lines[-1]) + len(part) > width else []
+                lines[-1] += part
     return lines
 
 
 def _pieces(text: str) -> list[str]:
     """Split a text at the places where it can break: at spaces, and after ``/``, ``.``, ``,`` and ``_``."""
     return re.findall(r"[^ ]+?[/.,_]+(?=[^ /.,_])|[^ ]+", text)
-
-
-def _broken(word: str, width: int) -> list[str]:
-    lines = [""]
-    for piece in _pieces(word):
-        lines += [""] if lines[-1] and len(lines[-1]) + len(piece) > width else []
-        lines[-1] += piece
-    return lines
 
 
 def hanging(text: str, indent: int, first: str = "") -> str:

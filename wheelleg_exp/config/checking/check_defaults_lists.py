@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from wheelleg_exp.config import tree_lookup as lookup
 from wheelleg_exp.config.composing.compose import Composed, is_unread, unread_setting
-from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
 from wheelleg_exp.config.composing.hydra_errors import place_of_option, where_of
 from wheelleg_exp.config.composing.provenance import ConfigFile
 from wheelleg_exp.config.tree_lookup import at, defaults_entries, leaves, line_table, section_at, self_before_others
@@ -30,14 +29,6 @@ def mount_place(composed: Composed, mounted: ConfigFile) -> str:
             return where_of(override)
     repository = composed.loader.repository_used
     return place_of_option(repository, mounted.parent, mounted.config_path) or show_file(mounted.file, 1)
-
-
-def check_headers(composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:
-    """Find config files whose content is at a wrong key, because they lack a ``# @package`` line."""
-    # A config file needs no `# @package` line if a defaults list selects the file with `group@package`.
-    misplaced = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
-    found = missing_headers(composed.loader.repository_used, ())
-    return [error for error in found if error.key in misplaced]
 
 
 def check_term_files(files: Sequence[ConfigFile]) -> list[ConfigError]:

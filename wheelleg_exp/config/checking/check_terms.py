@@ -14,7 +14,6 @@ from wheelleg_exp.config.explaining.catalog import LIBRARY, MODULES
 from wheelleg_exp.config.key_slots import named_section
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.terms import term_binding as binding
 from wheelleg_exp.terms.term_errors import field_errors, nested_errors, parameter_errors
 
@@ -215,18 +214,6 @@ def require_recorded(config: Mapping[str, object]) -> None:
     """Raise ConfigError if ``recording.env_ids`` contains an environment that does not exist."""
     for error in recorded_errors(at(config, "recording.env_ids"), at(config, "env.num_envs")):
         raise error
-
-
-def check_drawn(config: Mapping[str, object]) -> list[ConfigError]:
-    """Find cameras that would render more environments than the limit for one camera."""
-    count, sensors = at(config, "env.num_envs"), section_at(config, "env.scene.sensors")
-    limits = {name: node.get("max_num_envs") for name, node in sensors.items() if isinstance(node, Mapping)}
-    found = (
-        too_many(count, limit, f"env.scene.sensors.{name}")
-        for name, limit in limits.items()
-        if isinstance(count, int) and isinstance(limit, int)
-    )
-    return [error for error in found if error is not None]
 
 
 def check_folders(config: Mapping[str, object]) -> Iterator[ConfigError]:

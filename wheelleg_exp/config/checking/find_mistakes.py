@@ -12,11 +12,13 @@ from wheelleg_exp.config.checking import check_terms
 from wheelleg_exp.config.checking.check_agent import check_agent
 from wheelleg_exp.config.checking.check_robot_names import check_robot, read_names
 from wheelleg_exp.config.composing.compose import Composed, compose_leniently
+from wheelleg_exp.config.composing.config_loader import missing_headers, package_header
 from wheelleg_exp.config.config_errors import follows_from, override_of, raise_all
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, MissingValue, UnreadKey, nearest_name
 from wheelleg_exp.paths import show_file
+from wheelleg_exp.rendering.renderer import too_many
 from wheelleg_exp.rl.options import batch_errors, read_agent
 from wheelleg_exp.terms.config_sections import section_errors
 from wheelleg_exp.terms.config_values import fits
@@ -30,8 +32,9 @@ def check(composed: Composed) -> list[ConfigError]:
     Each returned error contains the file and line, or the override, of the wrong value.
     """
     files = composed.loader.files
-    misplaced = lists.check_headers(composed, files)
-    if misplaced:
+    # A config file needs no `# @package` line if a defaults list selects the file with `group@package`.
+    needing = {f.config_path for f in files if f.package in (f.group.replace("/", "."), package_header(f.file))}
+    if misplaced := [e for e in missing_headers(composed.loader.repository_used, ()) if e.key in needing]:
         # A config file at a wrong key causes many errors about other keys, so report only misplaced files.
         return misplaced
     config = lists.without_strays(composed.config, files)
@@ -104,18 +107,14 @@ def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
             errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
     groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
-    errors += check_terms.check_drawn(config)
+    for name, node in section_at(config, "env.scene.sensors").items():
+        most = node.get("max_num_envs") if isinstance(node, Mapping) else None
+        if isinstance(num_envs, int) and isinstance(most, int):  # a camera, which renders at most this many
+            errors += filter(None, [too_many(num_envs, most, f"env.scene.sensors.{name}")])
     errors += check_agent(config.get("agent"), groups)
     if fits(num_envs, Count) and not any(f"{error.key}.".startswith("agent.") for error in errors):
         errors += batch_errors(read_agent(section_at(config, "agent")), int(str(num_envs)))
     return sorted(errors, key=lambda error: f"{error.key}.".startswith("agent."))
-
-
-def require_valid(composed: Composed) -> None:
-    """Raise one ConfigError that lists every mistake that ``check`` finds."""
-    errors = check(composed)
-    if errors:
-        raise_all(errors)
 
 
 def _groups_without_terms(config: Mapping[str, object]) -> Iterator[ConfigError]:

@@ -65,18 +65,6 @@ def unread_setting(key: str, where: str, expected: str | None = None) -> ConfigE
     return UnreadKey("nothing reads this", key=key, where=where, expected=instead)
 
 
-def _unread_overrides(overrides: Sequence[str]) -> Iterator[ConfigError]:
-    for text in overrides:
-        found = _KEY.match(text)
-        key, where = found[1] if found else "", f"override {text}"
-        if _name(key) in _OF_SWEEPS:
-            message = "this is a setting of a sweep, and this is one run"
-            expected = "-m (--multirun) in addition, or neither"
-            yield ConfigError(message, key=key, where=where, expected=expected)
-        elif is_unread(text):
-            yield unread_setting(key, where)
-
-
 def _name(key: str) -> str:
     """Return the section of ``hydra`` that contains a key or a group: ``run`` for ``hydra.run.dir``."""
     return re.split(r"[./]", key, maxsplit=2)[1] if re.match(r"hydra[./]", key) else ""
@@ -171,7 +159,16 @@ def compose_leniently(
     because of mistakes, as ``config_errors.follows_from`` describes.
     """
     texts = override_texts(overrides)
-    unread = [] if launching else list(_unread_overrides(texts))
+    unread: list[ConfigError] = []
+    for text in () if launching else texts:
+        found = _KEY.match(text)
+        key, where = found[1] if found else "", f"override {text}"
+        if _name(key) in _OF_SWEEPS:
+            message = "this is a setting of a sweep, and this is one run"
+            expected = "-m (--multirun) in addition, or neither"
+            unread.append(ConfigError(message, key=key, where=where, expected=expected))
+        elif is_unread(text):
+            unread.append(unread_setting(key, where))
     ignored = {override_of(error) for error in unread}
     folders = tuple(config_folder(folder) for folder in config_dirs)
     with hydra_globals():

@@ -241,22 +241,7 @@ class Composition(Protocol):
 
 def find_mounts(loader: Composition) -> list[Mount]:
     """Return the config groups from which a composed config selects options, except Hydra's own config groups."""
-    mounts = []
-    for name, choices in _choices_by_mount(loader).items():
-        group, _, package = name.partition("@")
-        # If one task extends another, ignore the file of the extended task, because the user did not select it.
-        mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
-        if package:
-            mine = [file for file in mine if file.package == package]
-        elif mine:
-            package = mine[0].package
-        selected = tuple(file.name for file in mine)
-        mounts.append(Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices)))
-    return mounts
-
-
-def _choices_by_mount(loader: Composition) -> dict[str, list[Choice]]:
-    """Return the selections of each config group: plain entries of files, ``override`` entries, then overrides."""
+    # The selections of each group are plain entries of files, ``override`` entries, and then overrides.
     plain: dict[str, list[Choice]] = {}
     replacing: dict[str, list[Choice]] = {}
     # Hydra applies config files in the order of the defaults list, parents before their children.
@@ -271,7 +256,20 @@ def _choices_by_mount(loader: Composition) -> dict[str, list[Choice]]:
         name = override.get_key_element().lstrip("+~")
         if name in found or loader.repository_used.group_exists(override.key_or_group):
             found.setdefault(name, []).append(Choice(override.value(), f"override {override.input_line}"))
-    return {name: choices for name, choices in found.items() if not name.startswith("hydra/")}
+    mounts = []
+    for name, choices in found.items():
+        group, _, package = name.partition("@")
+        if group.startswith("hydra/"):
+            continue
+        # If one task extends another, ignore the file of the extended task, because the user did not select it.
+        mine = [file for file in loader.files if file.group == group and file.parent.rpartition("/")[0] != group]
+        if package:
+            mine = [file for file in mine if file.package == package]
+        elif mine:
+            package = mine[0].package
+        selected = tuple(file.name for file in mine)
+        mounts.append(Mount(name, group, package, selected, tuple(loader.options(group)), tuple(choices)))
+    return mounts
 
 
 def mount_of(found: list[Mount], keys: Keys) -> Mount | None:

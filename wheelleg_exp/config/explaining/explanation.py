@@ -37,8 +37,28 @@ def meanings(
     tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot | None, sources: Sequence[Source]
 ) -> tuple[Meaning, ...]:
     """Return the comments and docstrings about a config key, the most specific first."""
+    notes: list[Meaning] = []
+    # First the comment in the file that Hydra merges last.
+    for source in reversed(sources):
+        if source.file is None or source.line is None or len(keys) < len(source.package):
+            continue
+        inside = keys[len(source.package) :]
+        # For a config section, ``source.line`` can be the line of a subkey, so look up the section's own line.
+        line = line_table(source.file).get(inside, source.line) if inside else 2
+        text = comment_at(source.file, line) if inside else file_comment(source.file)
+        notes += [Meaning(text, show_file(source.file, line))] if text else []
+    if slot is not None and slot.meaning:
+        notes.append(Meaning(slot.meaning, slot.reader or "wheelleg"))
+    elif text := meaning_of(keys):
+        notes.append(Meaning(text, "wheelleg"))
+    for length in range(len(keys), 0, -1):
+        node = section_at(tree, keys[:length])
+        target = key_slots.target_of(node)
+        if target is not None:
+            notes.append(Meaning(summary(target), str(node[TARGET]), "key" if length == len(keys) else "term"))
+            break
     found: dict[str, Meaning] = {}
-    for note in (*_comments(keys, sources), *_docstrings(tree, keys, slot)):
+    for note in notes:
         found.setdefault(note.text, note)
     return tuple(found.values())
 
@@ -48,36 +68,6 @@ def unit_of(notes: Sequence[Meaning], keys: Keys) -> str | None:
     if keys[-1] in ("weight", TARGET):
         return None
     return next((unit for note in notes if note.about == "key" and (unit := unit_in(note.text))), None)
-
-
-def _comments(keys: Keys, sources: Sequence[Source]) -> Iterator[Meaning]:
-    """Yield the comments at the lines that set a config key, first the comment in the file that Hydra merges last."""
-    for source in reversed(sources):
-        if source.file is None or source.line is None or len(keys) < len(source.package):
-            continue
-        inside = keys[len(source.package) :]
-        if inside:
-            # For a config section, ``source.line`` can be the line of a subkey, so look up the section's own line.
-            line = line_table(source.file).get(inside, source.line)
-            text = comment_at(source.file, line)
-        else:
-            line, text = 2, file_comment(source.file)
-        if text:
-            yield Meaning(text, show_file(source.file, line))
-
-
-def _docstrings(tree: Mapping[str, object], keys: Keys, slot: key_slots.Slot | None) -> Iterator[Meaning]:
-    if slot is not None and slot.meaning:
-        yield Meaning(slot.meaning, slot.reader or "wheelleg")
-    elif text := meaning_of(keys):
-        yield Meaning(text, "wheelleg")
-    for length in range(len(keys), 0, -1):
-        node = section_at(tree, keys[:length])
-        target = key_slots.target_of(node)
-        if target is not None:
-            about = "key" if length == len(keys) else "term"
-            yield Meaning(summary(target), str(node[TARGET]), about)
-            return
 
 
 # Match interpolations of config keys, such as ``${env.num_envs}``, but no resolver calls, such as ``${oc.env:HOME}``.

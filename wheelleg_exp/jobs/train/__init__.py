@@ -1,1 +1,1 @@
-"""A training: from a composed config or a stopped run to a finished run directory; other ranks run ``other_ranks``."""
+"""A training: from a composed config or a stopped run to a finished run directory."""

@@ -34,7 +34,7 @@ from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.determinism import no_global_draws
-from wheelleg_exp.rl.options import DistillationAgent, Matmul
+from wheelleg_exp.rl.options import DistillationAgent, Learning, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -86,6 +86,16 @@ def prepare(composed: Composed, command: Sequence[str], display: Display, ranks:
         with ranks.agreed():
             recipe = find_inputs(composed, display)
         return prepare_recipe(recipe, command, display, ranks)
+
+
+def prepare_other_rank(composed: Composed, ranks: Ranks) -> tuple[Trainer, Learning]:
+    """Prepare a training in a rank above 0; return the trainer and the agent's options. Rank 0 reports errors."""
+    with ranks.agreed():
+        recipe = find_inputs(composed, Display())
+    with ranks.agreed():
+        trainer, _ = build_trainer(recipe, ranks)
+    ranks.facts(recipe.experiment.seed, recipe.experiment.agent.device)
+    return trainer, recipe.experiment.agent
 
 
 def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ranks: Ranks = ALONE) -> Training:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import io
+import json
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
+import numpy as np
+
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import for_people, while_running, write_bytes, write_text
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.train.prepare_training import Training
-from wheelleg_exp.jobs.train.training_outputs import Outputs, checkpoint_due, save_failure, summary
+from wheelleg_exp.jobs.train.training_outputs import Outputs, checkpoint_due, digested, summary
 from wheelleg_exp.rl import export
 from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.rl.ranks import FirstRankFailed, digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.rollout_log import logged
 from wheelleg_exp.rl.trainer import Iteration, Trainer
 from wheelleg_exp.run.iteration_log import LogLine, seconds_of
-from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_directory import FAILURE, RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
@@ -84,6 +89,28 @@ def run(training: Training, display: Display, stop: StopRequest) -> dict[str, ob
     return results
 
 
+def run_other_rank(trainer: Trainer, agent: Learning, stop: StopRequest) -> None:
+    """Train in a rank above 0, and send the training state to rank 0, which writes it into checkpoints."""
+    total, state, unsaved = agent.max_iterations, None, False
+    ranks = trainer.ranks
+    stop.check(ranks.any(stop.requested))
+    try:
+        for iteration in trainer.learn(until=total):
+            trainer.env.env.recorder_manager.take()
+            state = trainer.state_dict()
+            due = checkpoint_due(iteration.index, agent)
+            digests_of_all(ranks, digested(trainer, state, due))
+            stopped = ranks.any(stop.requested)
+            unsaved = not (due or stopped)
+            if not unsaved:
+                state_of_all_ranks(ranks, state)
+            stop.check(stopped)
+    except FirstRankFailed as failure:
+        if failure.saves_state and unsaved and state is not None:
+            state_of_all_ranks(ranks, state)
+        raise
+
+
 def record_untrained(training: Training, display: Display) -> None:
     """Write the files of a run whose networks come from elsewhere: its iteration 0 only records them."""
     trainer, agent = training.trainer, training.recipe.experiment.agent
@@ -109,7 +136,17 @@ def _iterations(training: Training, outputs: Outputs, results: dict[str, object]
         if error.evidence:
             name = outputs.last_checkpoint()
             results |= {} if name is None else {"checkpoint": name}
-            save_failure(training, error)
+            # Write the evidence: arrays by name, and ``about``, a JSON text that describes the arrays.
+            entry: dict[str, object] = {"file": FAILURE, "key": error.key, "iteration": trainer.iteration}
+            entry["message"] = error.message
+            env, arrays = trainer.env.env, {name: value.cpu().numpy() for name, value in error.evidence.items()}
+            about = {**entry, "joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
+            about |= {"reward_terms": env.reward_manager.active_terms}
+            about |= {"observations": env.observation_manager.active_terms}
+            buffer = io.BytesIO()
+            np.savez(buffer, allow_pickle=False, about=np.array(json.dumps(about)), **arrays)
+            write_bytes(training.directory.path / FAILURE, buffer.getvalue())
+            training.manifest.record(failure=entry)
         raise
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Mapping
 from contextlib import ExitStack
 from types import TracebackType
 
-import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from wheelleg_exp.errors import RunDirectoryError, SimulationFailure
+from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, json_plain, sync, write_bytes
 from wheelleg_exp.jobs.rollout_files import close_dataset, write_dataset
 from wheelleg_exp.jobs.train.prepare_training import Training
@@ -21,7 +19,6 @@ from wheelleg_exp.rl import checkpoint, digests
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.ranks import digests_of_all, state_of_all_ranks
 from wheelleg_exp.rl.trainer import Iteration, Trainer
-from wheelleg_exp.run.run_directory import FAILURE
 
 
 class Outputs:
@@ -32,11 +29,8 @@ class Outputs:
 
     def __init__(self, training: Training) -> None:
         recipe = training.recipe
-        self._directory, self._trainer, self._options = (
-            training.directory,
-            training.trainer,
-            recipe.experiment.recording,
-        )
+        self._directory, self._trainer = training.directory, training.trainer
+        self._options = recipe.experiment.recording
         self._documents = {"config": f"```yaml\n{recipe.hydra_files['config.yaml']}\n```"}
         self._logger = recipe.experiment.agent.logger
         self.wandb = WandbLog(training.directory, recipe.config) if self._logger == "wandb" else None
@@ -143,17 +137,3 @@ def summary(scalars: Mapping[str, object]) -> dict[str, object]:
     keys = ("Train/mean_reward", "Train/mean_episode_length", "Policy/mean_std")
     chosen = {key: scalars[key] for key in keys if key in scalars}
     return chosen | {k: v for k, v in scalars.items() if k.startswith("Episode_Termination/")}
-
-
-def save_failure(training: Training, error: SimulationFailure) -> None:
-    """Write the evidence of a failed training: arrays by name, and ``about``, a JSON text that describes the arrays."""
-    trainer, env = training.trainer, training.trainer.env.env
-    entry: dict[str, object] = {"file": FAILURE, "key": error.key, "iteration": trainer.iteration}
-    entry["message"] = error.message
-    names: dict[str, object] = {"joints": env.scene.robot.joint_names, "bodies": env.scene.robot.body_names}
-    names |= {"reward_terms": env.reward_manager.active_terms, "observations": env.observation_manager.active_terms}
-    arrays = {name: value.cpu().numpy() for name, value in error.evidence.items()}
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, about=np.array(json.dumps({**entry, **names})), **arrays)
-    write_bytes(training.directory.path / FAILURE, buffer.getvalue())
-    training.manifest.record(failure=entry)
