@@ -113,9 +113,9 @@ def test_a_sweep_that_is_started_twice_in_a_second_has_two_folders(tmp_path):
 
 def test_jobs_find_the_environment_that_a_run_alone_finds():
     code = (
-        "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import train_sweep;"
+        "import os, sys, types; before = dict(os.environ); from wheelleg_exp.cli import train;"
         "jobs = types.SimpleNamespace(jobs=[0] * 1000, n_jobs=-1, launcher='joblib');"
-        "print(train_sweep._at_once(jobs) >= 1, dict(os.environ) == before)"
+        "print(train._at_once(jobs) >= 1, dict(os.environ) == before)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "True"]

@@ -22,7 +22,7 @@ from jobs.replays import change_manifest
 from jobs.small import SMALL, lines, manifest, only_run, refused, succeed, wheelleg, without_times
 from wheelleg_exp import packages as projects
 from wheelleg_exp.files import sha256
-from wheelleg_exp.jobs.train import resume_overrides as resume_changes
+from wheelleg_exp.jobs.train import resume_training as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.train import training_outputs
 from wheelleg_exp.mdp import rewards

@@ -1,22 +1,32 @@
-"""Define the command ``wheelleg train``, and print the results for all commands that train."""
+"""Define the command ``wheelleg train``, also for sweeps, and print the results for all commands that train."""
 
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
+import os
+import shlex
+from collections.abc import Sequence
+from contextlib import nullcontext, suppress
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
-from wheelleg_exp.cli.printing.terminal import hanging, shown, tool
-from wheelleg_exp.errors import EXIT_INTERRUPTED, EXIT_OK, SimulationFailure
+from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
+from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, SimulationFailure, WheellegError
+from wheelleg_exp.files import write_text
+from wheelleg_exp.packages import with_current
 from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
+    from wheelleg_exp.config.composing.compose_sweep import Sweep
     from wheelleg_exp.jobs.job_display import Display
     from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.ranks import Ranks
     from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.run.run_index import SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
 
@@ -42,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
             require_alone("pipeline")
             return train_pipeline(args, stop)
         if args.multirun:
-            from wheelleg_exp.cli.train_sweep import train_all
-
             require_alone("--multirun")
             return train_all(args, stop)
         return together(train_one, _follow, args, stop) if world_size() > 1 else train_one(args, stop)
@@ -146,3 +154,126 @@ def print_trained(directory: RunDirectory, results: dict[str, object] | None, *,
     if directory.recording.is_file():
         print(f"      {tool('rerun')} {path}/recording.rrd")
     return EXIT_OK
+
+
+_MOST_SHOWN = 3
+_STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
+
+
+def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
+    """Expand a sweep into jobs, check and train every job, and print the results."""
+    from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
+    from wheelleg_exp.config.composing.compose_sweep import compose_sweep
+
+    with ConsoleSweepDisplay() as display:
+
+        def progress(done: int, total: int) -> None:
+            stop.check()
+            display.checking(done, total)
+
+        sweep = compose_sweep(args.overrides, config_dirs=args.config_dirs, progress=progress)
+        display.checked()
+
+        from omegaconf import OmegaConf
+
+        from wheelleg_exp.jobs.run_sweep import SweepRunner
+        from wheelleg_exp.jobs.sweep_queue import make_launcher
+        from wheelleg_exp.jobs.training_job import JobRequest
+        from wheelleg_exp.run.run_index import MULTIRUN_NAME, SweepIndex
+
+        # Omit the current project's config folder from ``--config-dir``, because commands always search this folder.
+        own: list[Path] = []
+        with suppress(ConfigError):
+            own = with_current([])
+        at_once, named = _at_once(sweep), [folder for folder in args.config_dirs if folder not in own]
+        folders = [str(folder) for folder in args.config_dirs]
+        root, facts = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
+        entries = [(job.overrides, job.swept) for job in sweep.jobs]
+        index = SweepIndex.create(root, command=args.command, launcher=facts, jobs=entries)
+        sweep.multirun.hydra.sweep.dir = str(index.folder)
+        write_text(index.folder / MULTIRUN_NAME, OmegaConf.to_yaml(sweep.multirun))
+        display.say(f"jobs: {len(sweep.jobs)}, {at_once} at a time; index: {shown(index.path)}")
+        crowded = _crowded(sweep, at_once)
+        if crowded:
+            display.say(f"warning: {crowded}")
+        requests = [
+            JobRequest("train", list(job.overrides), folders, _alone(job.overrides, named), job.digest)
+            for job in sweep.jobs
+        ]
+        try:
+            launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
+        except WheellegError:
+            index.finish("failed")
+            raise
+        status = SweepRunner(index, requests, at_once, display, stop, launcher).run()
+    if args.json:
+        jobs = [{**job, "run": None if job["run"] is None else str(index.run_of(job))} for job in index.jobs]
+        print_json({"sweep": str(index.folder), **index.data, "jobs": jobs})
+    else:
+        _print_report(index, named)
+    return _STATUS[status]
+
+
+def _at_once(sweep: Sweep) -> int:
+    from wheelleg_exp.config.composing.compose_sweep import QUEUES
+
+    if sweep.launcher in QUEUES:
+        return sweep.n_jobs
+    return min(len(sweep.jobs), int(_joblib().effective_n_jobs(sweep.n_jobs)))
+
+
+def _joblib() -> ModuleType:
+    """Import joblib, and unset the environment variables that joblib sets, because sweep jobs would inherit them."""
+    before = set(os.environ)
+    joblib = import_module("joblib")
+    for name in set(os.environ) - before:
+        del os.environ[name]
+    return joblib
+
+
+def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
+    """Return the command that trains one job of a sweep without the sweep's remaining jobs."""
+    return ["wheelleg", "train", *overrides, *(word for d in config_dirs for word in ("--config-dir", str(d)))]
+
+
+def _crowded(sweep: Sweep, at_once: int) -> str | None:
+    """Return a warning if the sweep jobs on this machine use more threads than the machine has cores."""
+    from wheelleg_exp.config.composing.compose_sweep import QUEUES
+
+    # A job queue such as Slurm runs a sweep's jobs on other machines, or limits the number of cores for each job.
+    if sweep.launcher in QUEUES and sweep.launcher != "submitit_local":
+        return None
+    cores = int(_joblib().cpu_count())
+    configs = [job.config for job in sweep.jobs]
+    threads = max(max(c["agent"]["torch_threads"], c["env"]["sim"]["nthread"] or cores) for c in configs)
+    if at_once == 1 or at_once * threads <= cores:
+        return None
+    each = max(1, cores // at_once)
+    text = f"{at_once} jobs of {threads} threads each share {cores} cores; agent.torch_threads={each} "
+    return text + f"env.sim.nthread={each} is faster and gives the same numbers"
+
+
+def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
+    rows = []
+    for job in index.jobs:
+        run, reward = index.run_of(job), job["results"].get("Train/mean_reward")
+        status = "not started" if job["status"] == "waiting" else job["status"]
+        figure = f"{reward:.3f}" if isinstance(reward, float) else "-"
+        rows.append((job["number"], " ".join(job["swept"]) or "-", status, figure, shown(run) if run else "-"))
+    print_table(("job", "overrides", "status", "return", "run"), rows)
+    done = [job for job in index.jobs if job["status"] == "finished"]
+    print(f"\n{len(done)} of {len(index.jobs)} jobs finished: {shown(index.path)}")
+    program = tool("wheelleg")
+    runs = [shown(run) for job in done if (run := index.run_of(job)) is not None]
+    following = []
+    if runs:
+        following.append([tool("tensorboard"), "--logdir", os.path.commonpath([Path(run).parent for run in runs])])
+        following += [[program, "diff", *runs[:2]]] if len(runs) > 1 else []
+        following.append([program, "play", runs[0]])
+    left = [job for job in index.jobs if job["status"] != "finished"]
+    again = [shlex.join([program, *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
+    if len(left) > len(again):
+        again.append(f"and {len(left) - len(again)} more, whose overrides are in the index")
+    for label, lines in (("next:", list(map(shlex.join, following))), ("retry:", again)):
+        for number, line in enumerate(lines):
+            print(f"{'' if number else label:<6} {line}")

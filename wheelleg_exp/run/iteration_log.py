@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any, TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import read_lines
@@ -16,13 +16,16 @@ from wheelleg_exp.run.records import read_record
 _TIMES = "Perf/"
 
 
-class LogLine(TypedDict):
+class _DigestFormat(TypedDict, total=False):
+    digest_format: int
+
+
+class LogLine(_DigestFormat):
     """One line of ``iterations.jsonl``: ``digests`` maps names to hashes, computed as in ``digest_format``."""
 
     iteration: int
     digests: Mapping[str, str]
     scalars: Mapping[str, object]
-    digest_format: NotRequired[int]
 
 
 @dataclass(frozen=True)

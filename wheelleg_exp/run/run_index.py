@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NotRequired, Self, TypedDict
+from typing import Any, ClassVar, Literal, Self, TypedDict
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import json_plain, read_json, write_json
@@ -49,15 +49,23 @@ class JobEntry(TypedDict):
     error: object
 
 
-class GateEntry(TypedDict):
+class _Reasons(TypedDict, total=False):
+    why: list[str]
+
+
+class GateEntry(_Reasons):
     """The evaluation after ``iteration`` iterations that decides whether a phase has passed."""
 
     iteration: int
     passed: bool
-    why: NotRequired[list[str]]
 
 
-class PhaseEntry(TypedDict):
+class _PhaseTimes(TypedDict, total=False):
+    started: str | None
+    ended: str | None
+
+
+class PhaseEntry(_PhaseTimes):
     """A phase in ``pipeline.json``.
 
     ``why`` is the reason to continue or to stop after the phase, ``digest`` a hash of the phase's config, and
@@ -72,8 +80,6 @@ class PhaseEntry(TypedDict):
     run: str | None
     init_from: str | None
     gates: list[GateEntry]
-    started: NotRequired[str | None]
-    ended: NotRequired[str | None]
 
 
 class _PipelineConfig(TypedDict):

@@ -5,5 +5,5 @@
 | `terminal` | streams whose readers can disappear; paths, text and tables that fit the screen |
 | `progress_display` | the progress of a job or a sweep |
 | `metric_tables` | figures of plays and agents; metrics of evaluations |
-| `inspection_tables`, `conversion_summary` | the contents of a recording; the result of a conversion |
+| `inspection_tables` | the contents of a recording |
 """

@@ -2,9 +2,8 @@
 
 | module | contents |
 |---|---|
-| `find_mistakes` | every mistake, including those at which Hydra stops |
+| `find_mistakes` | every mistake, including those at which Hydra stops, and those in defaults lists |
 | `check_agent` | the agent's keys and classes |
 | `check_terms` | terms, and references between sections |
 | `check_robot_names` | names of joints, bodies and sensors against the robot |
-| `check_defaults_lists` | package lines, term files, order, and Hydra's own settings |
 """
