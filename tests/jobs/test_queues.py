@@ -17,9 +17,8 @@ from jobs.test_sweep import _index as index
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs import sweep_queue
-from wheelleg_exp.jobs.run_sweep import SweepRunner
-from wheelleg_exp.jobs.sweep_queue import Queue, QueueWorker, make_launcher
+from wheelleg_exp.jobs import run_sweep
+from wheelleg_exp.jobs.run_sweep import Queue, QueueWorker, SweepRunner, make_launcher
 from wheelleg_exp.jobs.training_job import JobRequest
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_index import SweepIndex
@@ -61,7 +60,7 @@ class Threads(Queue):
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch, request):
     if "launcher" not in request.fixturenames:
-        monkeypatch.setattr(sweep_queue, "job_program", lambda path: (sys.executable, "-S", "-c", STAND_IN))
+        monkeypatch.setattr(run_sweep, "job_program", lambda path: (sys.executable, "-S", "-c", STAND_IN))
 
 
 def swept(whats: list[str], stop: StopRequest, seen: Seen | None = None, full: int = 99) -> tuple[SweepRunner, Threads]:
@@ -120,16 +119,16 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
 def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     line = JobRequest("train", ["wait"], [], []).line().decode().strip()
     facts = {"line": line, "path": [], "working_directory": str(tmp_path), "variables": {}}
-    (tmp_path / sweep_queue.REQUEST).write_text(json.dumps(facts))
+    (tmp_path / run_sweep.REQUEST).write_text(json.dumps(facts))
     job = QueueWorker()
     thread = threading.Thread(target=job, args=(str(tmp_path),), daemon=True)
     thread.start()
-    events = tmp_path / sweep_queue.EVENTS
+    events = tmp_path / run_sweep.EVENTS
     while not events.exists() or '"run"' not in events.read_text():
         thread.join(0.02)
     assert job.checkpoint(str(tmp_path)) is None
     thread.join()
-    told = [json.loads(line) for line in (tmp_path / sweep_queue.EVENTS).read_text().splitlines()]
+    told = [json.loads(line) for line in (tmp_path / run_sweep.EVENTS).read_text().splitlines()]
     assert told[0]["event"] == "began"
     assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
     with pytest.raises(RuntimeError, match="a job runs only once"):
@@ -138,11 +137,11 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
 
 def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypatch):
     made = []
-    monkeypatch.setattr(sweep_queue, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
+    monkeypatch.setattr(run_sweep, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")  # Ray sets this variable in its workers.
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
     facts = {"line": "", "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
-    (tmp_path / sweep_queue.REQUEST).write_text(json.dumps(facts))
+    (tmp_path / run_sweep.REQUEST).write_text(json.dumps(facts))
     with pytest.raises(ZeroDivisionError):
         QueueWorker()(str(tmp_path))
     assert made[0]["MKL_CBWR"] == "AVX2,STRICT"
@@ -199,7 +198,7 @@ def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launc
 
     def kill(job):
         if job["number"] == 2:
-            began = json.loads((index_.folder / "jobs" / "2" / sweep_queue.EVENTS).read_text().splitlines()[0])
+            began = json.loads((index_.folder / "jobs" / "2" / run_sweep.EVENTS).read_text().splitlines()[0])
             os.kill(began["pid"], signal.SIGKILL)
 
     queue = make_launcher(*launcher, index_.folder)

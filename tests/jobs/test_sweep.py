@@ -105,13 +105,13 @@ def _interrupt_twice(_job):
 
 def test_a_second_stop_interrupts_the_jobs_at_once(stop, monkeypatch):
     runner = stand_in(["deaf", "finish"], stop, seen=Seen(on_iteration=_interrupt_twice))
-    monkeypatch.setattr(runner_module, "_PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(runner_module, "_KILL_S", PATIENCE_S)
     assert (runner.run(), _statuses()) == ("interrupted", ["interrupted", "waiting"])
     assert _index()["jobs"][0]["error"] is None
 
 
 def test_a_job_that_will_not_stop_is_killed(stop, monkeypatch):
-    monkeypatch.setattr(runner_module, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(runner_module, "_KILL_S", 0.5)
 
     runner = stand_in(["stubborn"], stop, seen=Seen(on_iteration=_interrupt_twice))
     assert runner.run() == "interrupted"

@@ -4,7 +4,7 @@
 |---|---|
 | `main` | finds the command, imports only its module, returns the exit status |
 | `arguments`, `completion` | the parser and shared options; completion in the shell |
-| `train`, `train_pipeline`, `resume`, `replay`, `agents` | commands that train or run a task |
+| `train`, `resume`, `replay`, `agents` | commands that train or run a task |
 | `play`, `evaluate`, `results`, `export` | commands that use a policy |
 | `configs`, `list`, `new` | commands on configs and projects |
 | `convert`, `inspect`, `verify`, `report` | commands that read robots, recordings and runs |

@@ -258,7 +258,11 @@ def _runs_folder(root: Path | None) -> Path:
 def _run_row(run: RunSummary) -> list[object]:
     done = None if run.iterations is None and run.max_iterations is None else f"{run.iterations or 0}"
     total = "" if run.max_iterations is None else f"/{run.max_iterations}"
-    reward = run.figures.get("return")
+    reward, evaluated = run.figures.get("return"), None
+    metrics, protocol = run.evaluated.get("metrics"), run.evaluated.get("protocol")
+    if isinstance(metrics, Mapping) and isinstance(protocol, str):  # the protocol, and the survival in its first test
+        shares = (value for name, value in metrics.items() if str(name).endswith("/survival"))
+        evaluated = " ".join(filter(None, (protocol, _percent(next(shares, None)))))
     return [
         run.id,
         run.task,
@@ -267,7 +271,7 @@ def _run_row(run: RunSummary) -> list[object]:
         None if reward is None else f"{reward:.2f}",
         _percent(run.figures.get("time_out")),
         _survived(run.played),
-        _evaluated(run.evaluated),
+        evaluated,
         _duration(run.seconds),
         ("from start" if run.checkpoint is None else f"from {run.checkpoint}") if run.resumable else None,
     ]
@@ -284,15 +288,6 @@ def _survived(played: Mapping[str, object]) -> str | None:
         return _percent(survival)
     ended = episodes - unfinished
     return f"{round(survival * ended)}/{ended}"
-
-
-def _evaluated(evaluated: Mapping[str, object]) -> str | None:
-    """Return the name of an evaluation protocol and the survival rate in its first test, such as ``walk 100.0%``."""
-    metrics, protocol = evaluated.get("metrics"), evaluated.get("protocol")
-    if not isinstance(metrics, Mapping) or not isinstance(protocol, str):
-        return None
-    shares = (value for name, value in metrics.items() if str(name).endswith("/survival"))
-    return " ".join(filter(None, (protocol, _percent(next(shares, None)))))
 
 
 def _duration(seconds: float | None) -> str | None:

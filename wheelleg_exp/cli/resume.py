@@ -46,7 +46,7 @@ def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = N
         else:
             directory = _opened(args)
     if pipeline is not None:
-        from wheelleg_exp.cli.train_pipeline import resume_pipeline
+        from wheelleg_exp.cli.train import resume_pipeline
 
         return resume_pipeline(args, pipeline, stop)
 

@@ -1,4 +1,4 @@
-"""Define the command ``wheelleg train``, also for sweeps, and print the results for all commands that train."""
+"""``wheelleg train``: train a run, a sweep, or a pipeline, and print the results of all commands that train."""
 
 from __future__ import annotations
 
@@ -14,19 +14,29 @@ from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json, together
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
-from wheelleg_exp.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, ConfigError, SimulationFailure, WheellegError
+from wheelleg_exp.errors import (
+    EXIT_FAILED,
+    EXIT_FINDING,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    ConfigError,
+    SimulationFailure,
+    WheellegError,
+)
 from wheelleg_exp.files import write_text
 from wheelleg_exp.packages import with_current
+from wheelleg_exp.terms.key_syntax import names_pipeline
 from wheelleg_exp.torchrun import require_alone, world_size
 
 if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.config.composing.compose_sweep import Sweep
     from wheelleg_exp.jobs.job_display import Display
+    from wheelleg_exp.jobs.pipeline.pipeline_settings import PipelineSettings
     from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.ranks import Ranks
     from wheelleg_exp.run.run_directory import RunDirectory
-    from wheelleg_exp.run.run_index import SweepIndex
+    from wheelleg_exp.run.run_index import PipelineIndex, SweepIndex
     from wheelleg_exp.stop_request import StopRequest
 
 
@@ -47,8 +57,6 @@ def run(args: argparse.Namespace) -> int:
     # Handle interrupts before heavy imports, because an interrupt can be lost while Python imports a C++ library.
     with StopRequest() as stop:
         if any(map(names_pipeline, args.overrides)):
-            from wheelleg_exp.cli.train_pipeline import train_pipeline
-
             require_alone("pipeline")
             return train_pipeline(args, stop)
         if args.multirun:
@@ -176,8 +184,7 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
         from omegaconf import OmegaConf
 
-        from wheelleg_exp.jobs.run_sweep import SweepRunner
-        from wheelleg_exp.jobs.sweep_queue import make_launcher
+        from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
         from wheelleg_exp.run.run_index import MULTIRUN_NAME, SweepIndex
 
@@ -277,3 +284,93 @@ def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
     for label, lines in (("next:", list(map(shlex.join, following))), ("retry:", again)):
         for number, line in enumerate(lines):
             print(f"{'' if number else label:<6} {line}")
+
+
+def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
+    """Compose and check every phase of a pipeline, run the phases, and print the result."""
+    if args.multirun:
+        raise ConfigError("a pipeline cannot be a job of a sweep", key="-m", expected="one command per pipeline")
+
+    from wheelleg_exp.run.run_index import PipelineIndex
+
+    overrides = [word for word in args.overrides if not names_pipeline(word)]
+    pipeline, phases = composed_phases(args.overrides, args.config_dirs)
+    stop.check()
+
+    from wheelleg_exp.config.composing.compose_sweep import digest_of
+
+    index = PipelineIndex.create(
+        next(iter(phases.values())).config["run"]["root"],
+        config=pipeline.tree,
+        overrides=overrides,
+        config_dirs=args.config_dirs,
+        command=args.command,
+        digests={name: digest_of(composed) for name, composed in phases.items()},
+    )
+    return _run_pipeline(args, index, pipeline, stop)
+
+
+def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
+    """Return a pipeline and the configs of all phases; check that each phase can evaluate the phase's pass condition.
+
+    ``words`` contains the config overrides of a training pipeline and of all trainings that the pipeline starts. A
+    ConfigError from ``composed_phases`` lists all config mistakes that can be found before the first training starts.
+    """
+    from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
+
+    pipeline = compose_pipeline([word for word in words if names_pipeline(word)], config_dirs)
+    overrides = [word for word in words if not names_pipeline(word)]
+    with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
+        phases = compose_phases(pipeline.phases, overrides, config_dirs)
+
+        from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
+
+        require_metrics(pipeline.phases, phases, config_dirs)
+    return pipeline, phases
+
+
+def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -> int:
+    """Resume a training pipeline at the phase in which the pipeline stopped."""
+    from wheelleg_exp.jobs.pipeline.run_pipeline import resume_pipeline as prepare
+    from wheelleg_exp.run.run_index import PipelineIndex
+
+    index = PipelineIndex.load(folder)
+    return _run_pipeline(args, index, prepare(index, args.overrides, args.command, args.config_dirs), stop)
+
+
+def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
+    from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.errors import WheellegError
+    from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineRunner
+    from wheelleg_exp.run.run_lock import RunLock
+
+    again = f"{tool('wheelleg')} resume {shown(index.folder)}"
+    with ConsoleDisplay(quiet=True) as display, RunLock(index.folder):
+        display.note(f"pipeline '{pipeline.tree['name']}': {', '.join(pipeline.phases)}; record: {shown(index.path)}")
+        try:
+            status = PipelineRunner(index, pipeline, display, stop).run()
+        except WheellegError:
+            display.note(f"resume with: {again}")
+            raise
+        if status == "interrupted":
+            display.note(f"interrupted; resume with: {again}")
+    if args.json:
+        print_json({"pipeline": str(index.folder), **index.data})
+        return {"finished": EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
+    if status == "interrupted":
+        return EXIT_INTERRUPTED
+    rows = []
+    for phase in index.phases:
+        run = index.run_of(phase)
+        rows.append((phase["name"], phase["trained"], phase["status"], phase["why"] or "-", shown(run) if run else "-"))
+    print_table(("phase", "iterations", "status", "why", "run"), rows)
+    print(f"\npipeline {status}: {shown(index.path)}")
+    if status == "finished":
+        if (last := index.run_of(index.phases[-1])) is not None:
+            print(f"next: {tool('wheelleg')} play {shown(last)}")
+            print(f"      {tool('wheelleg')} evaluate {shown(last)}")
+        return EXIT_OK
+    failed = next(phase for phase in index.phases if phase["status"] == "failed")
+    more = 2 * max(int(index.data["config"]["phases"][failed["name"]]["max_iterations"]), int(failed["trained"]))
+    print(f"next: {again} pipeline.phases.{failed['name']}.max_iterations={more}")
+    return EXIT_FINDING

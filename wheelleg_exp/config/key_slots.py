@@ -101,8 +101,12 @@ def slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
     above = slot(tree, keys)
     if above is None:
         return {}
-    if node is None and (inside_default := _default_slots(above.default)):
-        return inside_default
+    default, kind = above.default, type(above.default)
+    if node is None and default is not REQUIRED and kind.__module__ != "builtins":
+        # The subkeys of a parameter with a default object, such as ``SceneEntityCfg()``, are the object's attributes.
+        attributes = _signature_slots(kind, signature_parameters(kind))
+        if attributes:
+            return {n: dataclasses.replace(s, default=getattr(default, n, s.default)) for n, s in attributes.items()}
     options = dataclass_of(above.annotation, section_at(tree, keys))
     if options is None:
         return {}
@@ -153,15 +157,6 @@ def _target_slots(node: Mapping[str, object]) -> dict[str, Slot]:
 def _signature_slots(target: Callable[..., object], parameters: Mapping[str, inspect.Parameter]) -> dict[str, Slot]:
     hints, lines = type_hints(target), parameter_lines(target)
     return {n: Slot(hints.get(n, Any), p.default, lines.get(n, ""), _name(target)) for n, p in parameters.items()}
-
-
-def _default_slots(default: object) -> dict[str, Slot]:
-    """Return the types and values of the attributes of a parameter's default object, such as ``SceneEntityCfg()``."""
-    kind = type(default)
-    if default is REQUIRED or kind.__module__ == "builtins":
-        return {}
-    made = _signature_slots(kind, signature_parameters(kind))
-    return {n: dataclasses.replace(s, default=getattr(default, n, s.default)) for n, s in made.items()}
 
 
 def class_slots(found: Callable[..., object], section: str) -> dict[str, Slot]:

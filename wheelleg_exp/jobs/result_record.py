@@ -18,7 +18,7 @@ from wheelleg_exp.jobs.evaluate_policy import Evaluated
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.plain_data import yaml_value
 from wheelleg_exp.run import records
-from wheelleg_exp.run.records import ProcessFacts, Resume
+from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.run_config import require_overrides
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.source_changes import SourceRecord
@@ -335,7 +335,11 @@ def recipe(run: RunDirectory) -> Recipe:
     refuse_stock(run.path, facts.stock)
     words = [word for entry in facts.resumes for word in entry.overrides]
     longer = [word for word in words if not word.startswith(_THREADS)]
-    exact = all(entry.exact is True or _changed_machine(entry) for entry in facts.resumes)
+    exact = True
+    for entry in facts.resumes:  # A resume can be inexact only because of other hardware or another number of threads.
+        changed = [(each.get("section"), each.get("name")) for each in entry.differences]
+        machine = all(section == "hardware" or (section, name) == ("threads", "torch") for section, name in changed)
+        exact = exact and (entry.exact is True or (machine and is_the_machine(entry)))
     if facts.status != "finished" or not exact or any(not word.startswith(_LENGTH) for word in longer):
         expected = "a finished run whose resumes changed nothing but its length, the machine, or the number of threads"
         raise RunDirectoryError("the run was not an uninterrupted training", key=run.id, expected=expected)
@@ -354,12 +358,6 @@ def recipe(run: RunDirectory) -> Recipe:
         parent = RunDirectory.open(str(began.run), run.root)
         return Recipe(overrides=words, begins_with=recipe(parent), iteration=began.iteration)
     return Recipe(overrides=words, begins_with=None, iteration=None)
-
-
-def _changed_machine(entry: Resume) -> bool:
-    """Return whether only the hardware and the number of threads changed when the run was resumed."""
-    changed = ((each.get("section"), each.get("name")) for each in entry.differences)
-    return is_the_machine(entry) and all(one[0] == "hardware" or one == ("threads", "torch") for one in changed)
 
 
 def require_one_method(runs: Sequence[RunDirectory]) -> None:

@@ -14,24 +14,10 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError, nearest_name
 from wheelleg_exp.files import for_people, read_json
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, is_inside, odd_entries
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.records import read_record
 from wheelleg_exp.run.stock_policies import FOLDER, PREFIX, stock_names, stock_run
 from wheelleg_exp.run.timestamps import folder_moment, folder_text
 
 PIPELINE_NAME = "pipeline.json"
-
-
-@dataclass(frozen=True)
-class _Phase:
-    name: str
-    run: str | None = None
-
-
-@dataclass(frozen=True)
-class _Pipeline:
-    """The runs of the phases in ``pipeline.json``."""
-
-    phases: tuple[_Phase, ...] = ()
 
 
 def is_pipeline(folder: Path) -> bool:
@@ -45,12 +31,12 @@ def pipeline_error(folder: Path) -> RunDirectoryError | None:
     if not is_pipeline(path.parent):
         return None
     content, here, runs = read_json(path), Path.cwd(), list[str]()
-    with suppress(RunDirectoryError):
-        for phase in read_record(_Pipeline, content, "broken pipeline", path).phases:
-            if phase.run:
-                run = (path.parent / phase.run).resolve()
+    with suppress(LookupError, TypeError, AttributeError):  # A damaged index lists no runs.
+        for name, named in [(phase["name"], phase.get("run")) for phase in content["phases"]]:
+            if named:
+                run = (path.parent / named).resolve()
                 run = run.relative_to(here) if run.is_relative_to(here) else run
-                runs.append(f"{run} (phase '{phase.name}')")
+                runs.append(f"{run} (phase '{name}')")
     expected = " or ".join(runs) if runs else "a run of the pipeline, after its first phase has started"
     return RunDirectoryError(f"'{path.parent.name}' is a pipeline, and each of its phases is a run", expected=expected)
 

@@ -85,7 +85,13 @@ def summarize(folder: Path) -> RunSummary:
     except RunDirectoryError as error:
         return RunSummary(folder.name, folder.parent.name, DAMAGED, folder, start_moment(folder), problem=str(error))
     facts, status = manifest.facts, effective_status(manifest)
-    checkpoint, size = _checkpoint_and_size(folder)
+    checkpoint, size = None, 0
+    with os.scandir(folder) as entries:
+        for file in entries:
+            if match := CHECKPOINT.fullmatch(file.name):
+                checkpoint = max(checkpoint or 0, int(match[1]))
+            if file.is_file(follow_symlinks=False):
+                size += file.stat(follow_symlinks=False).st_size
     last = _last_line(folder / "iterations.jsonl")
     recorded, scalars = facts.results.get("iterations"), facts.results
     done = recorded if isinstance(recorded, int) else None
@@ -179,19 +185,6 @@ def _resumable(folder: Path, status: str, checkpoint: int | None, done: int | No
         return False
     # A run that stopped between its last iteration and the export can be resumed to export the policy.
     return computed < total or (computed == total and status != "finished")
-
-
-def _checkpoint_and_size(folder: Path) -> tuple[int | None, int]:
-    """Return the iteration of a run's last checkpoint, and the total bytes of files directly in the run directory."""
-    newest, size = None, 0
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            match = CHECKPOINT.fullmatch(entry.name)
-            if match is not None:
-                newest = max(newest or 0, int(match[1]))
-            if entry.is_file(follow_symlinks=False):
-                size += entry.stat(follow_symlinks=False).st_size
-    return newest, size
 
 
 def _last_line(path: Path) -> LogLine | None:

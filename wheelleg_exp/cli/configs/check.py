@@ -88,7 +88,7 @@ def _check_pipeline(args: argparse.Namespace) -> int:
     if args.physics or args.all:
         message = "the option applies only to a single task"
         raise UsageError(message, key="--physics", expected="task=... and the overrides of one phase")
-    from wheelleg_exp.cli.train_pipeline import composed_phases
+    from wheelleg_exp.cli.train import composed_phases
     from wheelleg_exp.config.config_errors import parts
 
     try:

@@ -105,7 +105,15 @@ def check_robot(config: Mapping[str, object], names: RobotNames) -> list[ConfigE
         found, wrong = match_all(listed, names.bodies, key, "body") if listed is not None else (names.bodies, [])
         bodies[name] = found or None
         errors += wrong
-    errors += [*_undriven(config, joints), *_shared_actions(config, joints)]
+    errors += _undriven(config, joints)
+    from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
+
+    claims = []
+    for section, path, node in term_nodes(config):
+        target = _target(node, path) if section == "actions" and isinstance(node, Mapping) else None
+        if inspect.isclass(target) and issubclass(target, ActionTerm) and node.get("joint_names"):
+            claims.append((path, target.drives, match_all(node["joint_names"], joints, "", "joint")[0]))
+    errors += shared_action_errors(claims)
     members = Members({ROBOT: joints}, bodies)
     for section, path, node in term_nodes(config):
         if isinstance(node, Mapping):
@@ -144,19 +152,6 @@ def _actuators(groups: object, joints: list[str]) -> list[ConfigError]:
         errors += wrong or [e for n in NEEDED for e in valueless_errors(node.get(n), found, f"{key}.{n}")]
         claims.append((str(name), f"{key}.joint_names_expr", found))
     return errors + shared_errors(claims, ONE_GROUP)
-
-
-def _shared_actions(config: Mapping[str, object], joints: list[str]) -> list[ConfigError]:
-    """Find joints for which two action terms set targets, because only the later one of both terms has an effect."""
-    from wheelleg_exp.managers.action_manager import ActionTerm, shared_action_errors
-
-    claims = []
-    for section, path, node in term_nodes(config):
-        target = _target(node, path) if section == "actions" and isinstance(node, Mapping) else None
-        if inspect.isclass(target) and issubclass(target, ActionTerm) and node.get("joint_names"):
-            found = match_all(node["joint_names"], joints, "", "joint")[0]
-            claims.append((path, target.drives, found))
-    return shared_action_errors(claims)
 
 
 def _undriven(config: Mapping[str, object], joints: list[str]) -> Iterator[ConfigError]:

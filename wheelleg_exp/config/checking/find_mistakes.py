@@ -41,7 +41,13 @@ def check(composed: Composed) -> list[ConfigError]:
     if misplaced := [e for e in missing_headers(composed.loader.repository_used, ()) if e.key in needing]:
         # A config file at a wrong key causes many errors about other keys, so report only misplaced files.
         return misplaced
-    config = without_strays(composed.config, files)
+    # Leave out misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term.
+    config = copy.deepcopy(dict(composed.config))
+    for file in files:
+        section = at(config, file.package) if _is_term_list(file.package) and TARGET in file.content else None
+        if isinstance(section, dict):
+            for key in file.content:
+                section.pop(key, None)
     errors = [*check_term_files(files), *check_targets_of_files(config, files)]
     errors += check_group_lists(composed, files)
     hidden = {str(error.key) for error in errors}
@@ -96,7 +102,13 @@ def _check_robot(config: Mapping[str, object], asset_roots: Sequence[Path]) -> l
 
 def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
     """Return the mistakes in a config tree, without file and line; ``root`` is the dataclass of the top-level keys."""
-    unmounted = {str(error.key): error for error in _groups_without_terms(config)}
+    groups, unmounted = section_at(config, "env.observations"), dict[str, ConfigError]()
+    with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]
+    for name, group in groups.items():
+        if isinstance(group, Mapping) and "terms" not in group and (near := nearest_name(str(name), with_terms)):
+            key, expected = f"env.observations.{name}", "settings for " + ", ".join(groups)
+            message = "there are settings for this group, and no terms are mounted in it"
+            unmounted[key] = ConfigError(message, key=key, expected=expected, nearest=near)
     errors = [e for e in section_errors("", config, root) if str(e.key).rpartition(".")[0] not in unmounted]
     errors += unmounted.values()
     errors += check_terms.check_sections(config)
@@ -109,27 +121,16 @@ def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
             errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))
         elif isinstance(reason, str) and not reason.strip():
             errors.append(ConfigError("a silenced rule has no reason", key=key, expected="why the finding is accepted"))
-    groups, num_envs = list(section_at(config, "env.observations")), at(config, "env.num_envs")
+    num_envs = at(config, "env.num_envs")
     errors += check_terms.recorded_errors(at(config, "recording.env_ids"), num_envs)
     for name, node in section_at(config, "env.scene.sensors").items():
         most = node.get("max_num_envs") if isinstance(node, Mapping) else None
         if isinstance(num_envs, int) and isinstance(most, int):  # a camera, which renders at most this many
             errors += filter(None, [too_many(num_envs, most, f"env.scene.sensors.{name}")])
-    errors += check_agent(config.get("agent"), groups)
+    errors += check_agent(config.get("agent"), list(groups))
     if fits(num_envs, Count) and not any(f"{error.key}.".startswith("agent.") for error in errors):
         errors += batch_errors(read_agent(section_at(config, "agent")), int(str(num_envs)))
     return sorted(errors, key=lambda error: f"{error.key}.".startswith("agent."))
-
-
-def _groups_without_terms(config: Mapping[str, object]) -> Iterator[ConfigError]:
-    """Yield an error for each observation group that has settings, no terms, and a name similar to another group's."""
-    groups = section_at(config, "env.observations")
-    with_terms = [str(n) for n, g in groups.items() if isinstance(g, Mapping) and "terms" in g]
-    for name, group in groups.items():
-        if isinstance(group, Mapping) and "terms" not in group and (near := nearest_name(str(name), with_terms)):
-            key, expected = f"env.observations.{name}", "settings for " + ", ".join(groups)
-            message = "there are settings for this group, and no terms are mounted in it"
-            yield ConfigError(message, key=key, expected=expected, nearest=near)
 
 
 def find_mistakes(
@@ -226,17 +227,6 @@ def _is_term_list(package: str) -> bool:
     if keys[0] != "env" or len(keys) < 2 or keys[1] not in RESERVED:
         return False
     return len(keys) == 4 and keys[3] == "terms" if keys[1] == "observations" else len(keys) == 2
-
-
-def without_strays(config: Mapping[str, object], files: Sequence[ConfigFile]) -> dict[str, object]:
-    """Return a config without misplaced term parameters, such as ``env.rewards.weight`` outside of any reward term."""
-    cleaned = copy.deepcopy(dict(config))
-    for file in files:
-        section = at(cleaned, file.package) if _is_term_list(file.package) and TARGET in file.content else None
-        if isinstance(section, dict):
-            for key in file.content:
-                section.pop(key, None)
-    return cleaned
 
 
 def blame_mounts(errors: Sequence[ConfigError], composed: Composed, files: Sequence[ConfigFile]) -> list[ConfigError]:

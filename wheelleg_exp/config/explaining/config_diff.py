@@ -166,18 +166,16 @@ def _is_default(a: Side, b: Side, keys: Keys) -> bool:
     if key_slots.section_of(keys) is not None or parents[0].get(TARGET) != parents[1].get(TARGET):
         return False
     side = a if keys[-1] in parents[0] else b
-    slot = key_slots.slot(side.tree, keys)
-    return slot is not None and slot.default is not key_slots.REQUIRED and _makes(at(side.tree, keys), slot.default)
-
-
-def _makes(value: object, default: object) -> bool:
-    """Return whether a config value equals a default value, or is a ``_target_`` node that builds an equal object."""
+    slot, value = key_slots.slot(side.tree, keys), at(side.tree, keys)
+    if slot is None or slot.default is key_slots.REQUIRED:
+        return False
     target = key_slots.target_of(value)
-    if target is None or type(default) is not target or not isinstance(value, Mapping):
-        return same(value, default)
+    if target is None or type(slot.default) is not target or not isinstance(value, Mapping):
+        return same(value, slot.default)
+    # A ``_target_`` node that builds an equal object also sets the default value.
     made = [f.name for f in fields(target) if f.default_factory is not MISSING] if is_dataclass(target) else []
     parameters = {n: p for n, p in signature_parameters(target).items() if n in value or n not in made}
-    return all(same(value.get(name, p.default), getattr(default, name, None)) for name, p in parameters.items())
+    return all(same(value.get(n, p.default), getattr(slot.default, n, None)) for n, p in parameters.items())
 
 
 def _facts(a: Mapping[str, Mapping[str, object]], b: Mapping[str, Mapping[str, object]]) -> Iterator[FactChange]:
