@@ -22,8 +22,8 @@ from typing import Any
 from PIL import Image
 
 from wheelleg_exp.jobs.drive import drive_page
-from wheelleg_exp.jobs.drive.drive_controls import Controls, Finish
 from wheelleg_exp.jobs.drive.drive_page import DrivePage, state_html
+from wheelleg_exp.jobs.drive.drive_script import Controls, Finish
 from wheelleg_exp.jobs.drive.drive_session import Status
 from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, scenes
 from wheelleg_exp.run.run_directory import RunDirectory

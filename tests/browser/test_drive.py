@@ -10,8 +10,8 @@ from patience import PATIENCE_S, wait_until
 
 from browser.chrome import Chrome
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.drive_controls import Finish, Push, Reset
 from wheelleg_exp.jobs.drive.drive_page import SLOW, DrivePage
+from wheelleg_exp.jobs.drive.drive_script import Finish, Push, Reset
 from wheelleg_exp.jobs.drive.run_drive import Drive, DriveRequest, drive
 from wheelleg_exp.run.run_directory import RunDirectory
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from foreign.trial import Trial, every_second
-from wheelleg_exp.jobs.train.scalar_logs import cut_events
+from wheelleg_exp.jobs.train.training_outputs import cut_events
 from wheelleg_exp.rl import checkpoint
 
 from .test_archives import Runs

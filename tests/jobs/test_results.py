@@ -17,7 +17,7 @@ from jobs.small import copied, succeed
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import write_json, write_text
-from wheelleg_exp.jobs import reproduce_result as again_of
+from wheelleg_exp.jobs import result_record as records
 from wheelleg_exp.jobs.result_record import (
     machines_of,
     read_manifests,
@@ -70,13 +70,13 @@ def once(monkeypatch, made_again):
     def first(kind, make):
         return lambda *args: made_again.get(kind) or made_again.setdefault(kind, make(*args))
 
-    train = again_of._trained_run
+    train = records._trained_run
     trained = first("run", lambda how, *_: train(how, made_again["root"], {}, print, ()))
-    monkeypatch.setattr(again_of, "_trained_run", trained)
-    policy, controller = again_of.evaluate_run, partial(again_of.evaluate_run, reference=True)
+    monkeypatch.setattr(records, "_trained_run", trained)
+    policy, controller = records.evaluate_run, partial(records.evaluate_run, reference=True)
     policy, controller = first("policy", policy), first("reference", controller)
     evaluate = lambda *args, reference=False: (controller if reference else policy)(*args)  # noqa: E731
-    monkeypatch.setattr(again_of, "evaluate_run", evaluate)
+    monkeypatch.setattr(records, "evaluate_run", evaluate)
 
 
 def again(written, capsys, *more: str) -> tuple[int, str]:
@@ -191,7 +191,7 @@ def test_a_training_from_a_shipped_policy_starts_again_with_this_policy(trained,
 def test_what_two_results_share_is_trained_once(run, written, capsys, monkeypatch):
     assert main(["results", "other", str(run.path), *SHORT, "--into", str(written)]) == 0
     trained = []
-    monkeypatch.setattr(again_of, "_train", lambda *given: trained.append(given) or str(run.path))
+    monkeypatch.setattr(records, "_train", lambda *given: trained.append(given) or str(run.path))
     status, told = again(written, capsys, "other")
     assert (status, len(trained)) == (0, 1)
     verdicts = ["small: reproduced to the bit", "other: reproduced to the bit"]

@@ -13,7 +13,6 @@ from wheelleg_exp.cli.printing.terminal import print_table, shown, tool
 from wheelleg_exp.errors import EXIT_OK
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.drive.run_drive import Drive
     from wheelleg_exp.run.run_directory import RunDirectory
 
 _PORT = 8080
@@ -66,8 +65,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | None) -> int:
+    from wheelleg_exp.cli.printing.metric_tables import print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.drive.run_drive import DriveRequest, drive, policies, scenes
+    from wheelleg_exp.definitions import drive_rows
+    from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND, DriveRequest, drive, policies, scenes
 
     request = DriveRequest(run, checkpoint, args.overrides, args.scene, args.script, args.command)
     place: Any = nullcontext()
@@ -83,25 +84,17 @@ def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | N
         print_json({"run": str(run.path), "drives": documents})
         return EXIT_OK
     for made in drives:
-        _print(made)
+        print(f"drove {shown(made.checkpoint)} without exploration noise")
+        print_table(("figure", "value"), list(drive_rows(made.figures)))
+        run_of_policy, scene = made.folder.parent.parent, made.figures["scene"]
+        own = made.checkpoint.resolve().is_relative_to(run_of_policy)
+        words = ["play", shown(run_of_policy), *made.figures["overrides"]]
+        words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
+        words += [] if scene == OWN_GROUND else ["--scene", scene]
+        words += ["--script", shown(made.folder / "driven.yaml")]
+        if made.figures["handed_over"]:
+            print("\nnot repeatable: it started in the last state of the drive before")
+        else:
+            print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
+        print_recording(made.recording)
     return EXIT_OK
-
-
-def _print(made: Drive) -> None:
-    from wheelleg_exp.cli.printing.metric_tables import print_recording
-    from wheelleg_exp.definitions import drive_rows
-    from wheelleg_exp.jobs.drive.run_drive import OWN_GROUND
-
-    print(f"drove {shown(made.checkpoint)} without exploration noise")
-    print_table(("figure", "value"), list(drive_rows(made.figures)))
-    run, scene = made.folder.parent.parent, made.figures["scene"]
-    own = made.checkpoint.resolve().is_relative_to(run)
-    words = ["play", shown(run), *made.figures["overrides"]]
-    words += ["--checkpoint", made.checkpoint.name if own else shown(made.checkpoint)]
-    words += [] if scene == OWN_GROUND else ["--scene", scene]
-    words += ["--script", shown(made.folder / "driven.yaml")]
-    if made.figures["handed_over"]:
-        print("\nnot repeatable: it started in the last state of the drive before")
-    else:
-        print(f"\nrepeat: {tool('wheelleg')} {shlex.join(words)}")
-    print_recording(made.recording)

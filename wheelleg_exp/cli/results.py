@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import Evaluator, found
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.compare_evaluations import compare
+    from wheelleg_exp.jobs.evaluate_policy import compare
     from wheelleg_exp.jobs.result_record import earlier_manifests, require_one_method, write_results
 
     names = [word for word in args.runs if not is_override(word)]
@@ -71,8 +71,7 @@ def _write(args: argparse.Namespace) -> int:
 
 
 def _again(args: argparse.Namespace) -> int:
-    from wheelleg_exp.jobs.reproduce_result import reproduce
-    from wheelleg_exp.jobs.result_record import read_result
+    from wheelleg_exp.jobs.result_record import read_result, reproduce
     from wheelleg_exp.run.run_directory import RunDirectory
 
     names = list(dict.fromkeys((args.name, *args.runs)))

@@ -12,8 +12,8 @@ import yaml
 
 from jobs.small import refused, succeed, wheelleg
 from wheelleg_exp.errors import WheellegError
-from wheelleg_exp.jobs.drive.drive_controls import Choose, Finish, Push
 from wheelleg_exp.jobs.drive.drive_page import require_free
+from wheelleg_exp.jobs.drive.drive_script import Choose, Finish, Push
 from wheelleg_exp.jobs.drive.run_drive import DriveRequest, RealTimePacer, drivable, drive, policies
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.recording.reading.recording_reader import Recording

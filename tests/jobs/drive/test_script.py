@@ -3,8 +3,7 @@
 import pytest
 
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Controls, Jump, Push, Reset
-from wheelleg_exp.jobs.drive.drive_script import ScriptPlayer, read_script
+from wheelleg_exp.jobs.drive.drive_script import Axis, Controls, Jump, Push, Reset, ScriptPlayer, read_script
 
 AXES = [Axis("lin_vel_x", "base_velocity", "lin_vel_x", -0.3, 0.3), Axis("height", "pose", "height", 0.06, 0.08)]
 

@@ -46,7 +46,21 @@ def check_agent(agent: object, groups: Collection[str]) -> list[ConfigError]:
         strange = [group for group in listed if group not in groups]
         unknown += [not_one_of(f"there is no observation group '{group}'", group, groups, key=key) for group in strange]
     errors += empty + unread + unknown
-    errors += _check_extensions(agent)
+    for name in EXTENSIONS:
+        algorithm = agent.get("algorithm")
+        options = algorithm.get(name) if isinstance(algorithm, Mapping) else None
+        path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
+        if not isinstance(options, Mapping) or found is None:
+            continue
+        errors += _check_parameters(path, options, found)
+        absent = [k for k, slot in class_slots(found, name).items() if slot.default is REQUIRED and k not in options]
+        errors += [MissingValue(key=f"{path}.{k}", expected=f"a value that {EXTENSIONS[name]} needs") for k in absent]
+        if name == "symmetry_cfg" and options.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
+            expected = "joint_pairs, which name the mirror image of each joint"
+            errors.append(MissingValue(key="agent.symmetry", expected=expected))
+        if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
+            expected = "the observation groups whose novelty is rewarded"
+            errors.append(MissingValue(key="agent.obs_groups.rnd_state", expected=expected))
     for name, rule in section_at(agent, ("symmetry", "terms")).items():
         if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
             errors.append(mirror_rules.unknown_rule_error(rule, str(name)))
@@ -97,25 +111,6 @@ def _check_constructor(path: str, node: object) -> Iterator[ConfigError]:
     if draws and node.get(_DISTRIBUTION) is None:
         expected = "the distribution of the actions, such as {class_name: GaussianDistribution}"
         yield MissingValue(key=f"{path}.{_DISTRIBUTION}", expected=expected)
-
-
-def _check_extensions(agent: Mapping[str, object]) -> Iterator[ConfigError]:
-    algorithm, sets = agent.get("algorithm"), agent.get("obs_groups")
-    for name in EXTENSIONS:
-        node = algorithm.get(name) if isinstance(algorithm, Mapping) else None
-        path, found = f"agent.algorithm.{name}", extension_of(("agent", "algorithm", name))
-        if not isinstance(node, Mapping) or found is None:
-            continue
-        yield from _check_parameters(path, node, found)
-        for key, slot in class_slots(found, name).items():
-            if slot.default is REQUIRED and key not in node:
-                yield MissingValue(key=f"{path}.{key}", expected=f"a value that {EXTENSIONS[name]} needs")
-        if name == "symmetry_cfg" and node.get("data_augmentation_func") == _MIRROR and not agent.get("symmetry"):
-            expected = "joint_pairs, which name the mirror image of each joint"
-            yield MissingValue(key="agent.symmetry", expected=expected)
-        if name == "rnd_cfg" and isinstance(sets, Mapping) and not sets.get("rnd_state"):
-            expected = "the observation groups whose novelty is rewarded"
-            yield MissingValue(key="agent.obs_groups.rnd_state", expected=expected)
 
 
 def _check_parameters(path: str, node: Mapping[str, object], found: Callable[..., object]) -> Iterator[ConfigError]:

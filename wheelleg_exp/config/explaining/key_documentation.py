@@ -185,11 +185,8 @@ _LATER = re.compile(rf"(?:, |\(|: )({_UNIT})(?=$|[;,.:)])")
 
 def unit_in(text: str) -> str | None:
     """Return the physical unit at the start of a comment or docstring line, or after a comma; None without a unit."""
-    for pattern in (_FIRST, _LATER):
-        match = pattern.search(text)
-        if match:
-            return match.group(1)
-    return None
+    matches = (pattern.search(text) for pattern in (_FIRST, _LATER))
+    return next((match.group(1) for match in matches if match), None)
 
 
 def summary(target: object) -> str:

@@ -27,7 +27,7 @@ from PIL import Image
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
-from wheelleg_exp.jobs.drive.drive_controls import Axis, Choose, Controls, Finish, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Finish, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK

@@ -14,8 +14,7 @@ from wheelleg_exp.definitions import ending
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import add_velocity
-from wheelleg_exp.jobs.drive.drive_controls import Axis, CommandHold, Controls, Jump, Push, Reset, RobotRequest
-from wheelleg_exp.jobs.drive.drive_script import DriveLog
+from wheelleg_exp.jobs.drive.drive_script import Axis, CommandHold, Controls, DriveLog, Jump, Push, Reset, RobotRequest
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand

@@ -17,9 +17,8 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
-from wheelleg_exp.jobs.drive.drive_controls import Choose, Controls, Finish, Request
 from wheelleg_exp.jobs.drive.drive_page import DrivePage
-from wheelleg_exp.jobs.drive.drive_script import Script, ScriptPlayer, read_script
+from wheelleg_exp.jobs.drive.drive_script import Choose, Controls, Finish, Request, Script, ScriptPlayer, read_script
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.play_policy import Tree, prepare_policy

@@ -28,8 +28,8 @@ from wheelleg_exp.jobs.rollout_files import dataset_files_from
 from wheelleg_exp.jobs.saved_robot import load_saved_robot
 from wheelleg_exp.jobs.torch_threads import thread_notes
 from wheelleg_exp.jobs.train.prepare_training import Recipe, Training, build_trainer
-from wheelleg_exp.jobs.train.scalar_logs import cut_events
 from wheelleg_exp.jobs.train.source_roots import differences_now, shorten
+from wheelleg_exp.jobs.train.training_outputs import cut_events
 from wheelleg_exp.jobs.train.training_recording import films_from
 from wheelleg_exp.packages import join_recorded, left_out, read_project
 from wheelleg_exp.paths import configs_dir
