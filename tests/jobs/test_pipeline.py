@@ -21,8 +21,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.pipeline import run_pipeline as runner
 from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
-from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, read_pipeline
-from wheelleg_exp.jobs.pipeline.run_pipeline import resume_pipeline
+from wheelleg_exp.jobs.pipeline.run_pipeline import compose_phases, read_pipeline, resume_pipeline
 from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.paths import configs_dir

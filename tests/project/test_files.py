@@ -11,7 +11,7 @@ from project.robots import tetrahedron, urdf
 from wheelleg_exp.asset import convert
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.project.robot_files import copy_robot
+from wheelleg_exp.project.create import copy_robot
 
 
 def model(source: Path, folder: Path) -> dict[str, bytes]:

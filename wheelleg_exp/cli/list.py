@@ -157,7 +157,7 @@ def _terms(args: argparse.Namespace) -> Listed:
 
 def _pipelines(args: argparse.Namespace) -> Listed:
     """Return the pipelines that configs declare, followed by the started pipelines, the newest first."""
-    from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_pipeline
+    from wheelleg_exp.jobs.pipeline.run_pipeline import compose_pipeline
     from wheelleg_exp.run.run_directory import PIPELINE_NAME, PIPELINES
     from wheelleg_exp.run.run_index import PipelineIndex
     from wheelleg_exp.terms.key_syntax import PIPELINE

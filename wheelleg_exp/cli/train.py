@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose import Composed
     from wheelleg_exp.config.composing.compose_sweep import Sweep
     from wheelleg_exp.jobs.job_display import Display
-    from wheelleg_exp.jobs.pipeline.pipeline_settings import PipelineSettings
+    from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineSettings
     from wheelleg_exp.jobs.train.prepare_training import Training
     from wheelleg_exp.rl.ranks import Ranks
     from wheelleg_exp.run.run_directory import RunDirectory
@@ -316,7 +316,7 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
     ``words`` contains the config overrides of a training pipeline and of all trainings that the pipeline starts. A
     ConfigError from ``composed_phases`` lists all config mistakes that can be found before the first training starts.
     """
-    from wheelleg_exp.jobs.pipeline.pipeline_settings import compose_phases, compose_pipeline
+    from wheelleg_exp.jobs.pipeline.run_pipeline import compose_phases, compose_pipeline
 
     pipeline = compose_pipeline([word for word in words if names_pipeline(word)], config_dirs)
     overrides = [word for word in words if not names_pipeline(word)]

@@ -29,8 +29,7 @@ from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_f
 from wheelleg_exp.jobs.export.isaaclab_run import Tree
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.plain_data import dump_yaml
-from wheelleg_exp.project.create import project_files, require_place, require_robot_file, write
-from wheelleg_exp.project.robot_files import copy_robot
+from wheelleg_exp.project.create import copy_robot, project_files, require_place, require_robot_file, write
 from wheelleg_exp.rl import checkpoint
 
 _POLICY = "imported_policy.pt"

@@ -50,18 +50,13 @@ _ALTERNATIVES = {
 }
 
 
-@dataclass(frozen=True)
-class EvaluationSettings:
-    """The config of an evaluation, and its config section ``protocol`` as plain data, which results contain."""
-
-    config: EvaluateRoot
-    protocol: dict[str, object]
-
-
 def evaluation_settings(
     run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
-) -> EvaluationSettings:
-    """Return the config of an evaluation; overrides without ``protocol`` and ``seed`` change the run's config."""
+) -> tuple[EvaluateRoot, dict[str, object]]:
+    """Return the config of an evaluation, and its section ``protocol`` as plain data, which results contain.
+
+    Overrides of other keys than ``protocol`` and ``seed`` change the run's config.
+    """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
     composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
@@ -80,7 +75,7 @@ def evaluation_settings(
             if changed := [name for name, digest in present.items() if saved.get(name) != digest]:
                 message = f"{changed[0]} differs from the file that the run was trained with"
                 raise ConfigError(message, key="env.robot.asset", expected="the run's robot, or env.sim.engine=mujoco")
-    return EvaluationSettings(config, tree["protocol"])
+    return config, tree["protocol"]
 
 
 def _settings_read(tree: Mapping[str, object], protocol: Protocol) -> Mapping[str, object]:
@@ -135,14 +130,16 @@ def evaluate_run(
     """
     if checkpoint is None and not reference:
         checkpoint = run.latest_checkpoint()
-    settings, controllers = evaluation_settings(run, overrides, config_dirs), list[Reference]()
+    config, protocol = evaluation_settings(run, overrides, config_dirs)
+    controllers: list[Reference] = []
 
     def make_controller(env: ManagerBasedRLEnv) -> Reference:
-        controllers.append(Reference(env, settings.config.protocol.command))
+        controllers.append(Reference(env, config.protocol.command))
         return controllers[-1]
 
-    make = make_controller if checkpoint is None else policy_of(checkpoint, settings.config.agent)
-    found = _evaluate(settings, saved_mjcf(run), make, progress)
+    make = make_controller if checkpoint is None else policy_of(checkpoint, config.agent)
+    with ending_as(SimulationFailure):
+        found = evaluate(config.env, saved_mjcf(run), make, protocol, config.seed, progress=progress)
     content: dict[str, Any] = {"policy": Reference.name, **controllers[0].describe()} if checkpoint is None else {}
     content |= {} if checkpoint is None else checkpoint_facts(run, checkpoint)
     content |= {"overrides": list(overrides), **found.as_dict()}
@@ -155,13 +152,6 @@ def evaluate_run(
         results["metrics"] = {name: figure.as_dict()["value"] for name, figure in found.metrics.items()}
         run.manifest().add(Reference.name if checkpoint is None else "evaluation", files, results, command=command)
     return Evaluated(run, checkpoint, folder, found, content)
-
-
-@ending_as(SimulationFailure)
-def _evaluate(
-    settings: EvaluationSettings, mjcf: Path, make_policy: MakePolicy, progress: Progress | None
-) -> Evaluation:
-    return evaluate(settings.config.env, mjcf, make_policy, settings.protocol, settings.config.seed, progress=progress)
 
 
 def policy_of(checkpoint: Path, agent: Learning) -> MakePolicy:
@@ -186,8 +176,8 @@ def stored_evaluation(
     run: RunDirectory, checkpoint: Path, overrides: Sequence[str], config_dirs: Sequence[Path] = ()
 ) -> Evaluated | None:
     """Load the newest evaluation of a checkpoint with equal settings from the run directory, or return None."""
-    settings = evaluation_settings(run, overrides, config_dirs)
-    asked = (sha256(checkpoint), settings.config.seed, settings.protocol, run_overrides(overrides))
+    config, protocol = evaluation_settings(run, overrides, config_dirs)
+    asked = (sha256(checkpoint), config.seed, protocol, run_overrides(overrides))
     folders = [path.parent for path in run.evaluation.glob(f"*/{RESULT}")] if run.evaluation.is_dir() else []
     for folder in sorted(folders, reverse=True):
         content = read_content(folder)

@@ -2,8 +2,8 @@
 
 | module | what it offers |
 |---|---|
-| `create` | write everything next to its place, check it, and move it there |
+| `create` | copy the robot's file with all files that it names, write everything, check it, and move it to its place |
 | `survey` | measure the robot and choose its standing pose |
-| `robot_files` | copy the robot's file with all files that it names |
+
 | `robot_yaml`, `task_yaml` | write the configs |
 """

@@ -112,9 +112,22 @@ def write_isaac_lab_run(
     if lost:
         notes.insert(0, f"write these observations in Isaac Lab before you run the policy: {', '.join(lost)}")
     if role == "actor":
-        runner, lost_settings = isaac_lab_agent(agent, env.seed, task)
+        actor, critic = agent["actor"], agent["critic"]
+        noise = actor.get("distribution_cfg") or {}
+        network = {"class_name": "ActorCritic", "activation": actor["activation"]}
+        network |= {"init_noise_std": noise.get("init_std", 1.0), "noise_std_type": noise.get("std_type", "scalar")}
+        for part, own in (("actor", actor), ("critic", critic)):
+            network |= {f"{part}_{name}": own[name] for name in ("hidden_dims", "obs_normalization")}
+        known = ("class_name", *PPO[:-1])  # Isaac Lab 2.3.2 has no ``optimizer``.
+        algorithm = {name: agent["algorithm"][name] for name in known if name in agent["algorithm"]}
+        sets = {"policy": agent["obs_groups"]["actor"], "critic": agent["obs_groups"]["critic"]}
+        runner = {"seed": env.seed, **{name: agent[name] for name in RUNNER if name in agent}}
+        runner |= {"experiment_name": task, "obs_groups": sets, "policy": network, "algorithm": algorithm}
         write_text(folder / "params" / "agent.yaml", dump_yaml(runner))
-        notes += lost_settings
+        unknown = [name for name, value in agent["algorithm"].items() if name not in (*known, "optimizer") and value]
+        notes += [f"agent.algorithm.{name}: set it in Isaac Lab's config of the agent" for name in unknown]
+        if critic["activation"] != actor["activation"]:
+            notes.append(f"agent.critic.activation: {critic['activation']}, but Isaac Lab has one for both networks")
     else:
         notes.append("agent: Isaac Lab has no distillation from a checkpoint")
     head = "".join(f"# not exported: {note}\n" for note in notes)
@@ -288,25 +301,6 @@ class IsaacLabEnv:
             return {"class_type": f"{module}:{name}", **asset, **values}
         fields = {parameter: values.pop(parameter) for parameter in RESERVED[kind] if parameter in values}
         return {"func": f"{module}:{name}", "params": values, **fields}
-
-
-def isaac_lab_agent(agent: Tree, seed: int, task: str) -> tuple[Tree, list[str]]:
-    """Return the content of ``agent.yaml`` for rsl_rl's runner, and notes about settings that it does not have."""
-    actor, critic, groups = agent["actor"], agent["critic"], agent["obs_groups"]
-    noise = actor.get("distribution_cfg") or {}
-    policy = {"class_name": "ActorCritic", "activation": actor["activation"]}
-    policy |= {"init_noise_std": noise.get("init_std", 1.0), "noise_std_type": noise.get("std_type", "scalar")}
-    for role, network in (("actor", actor), ("critic", critic)):
-        policy |= {f"{role}_{name}": network[name] for name in ("hidden_dims", "obs_normalization")}
-    known = ("class_name", *PPO[:-1])  # Isaac Lab 2.3.2 has no ``optimizer``.
-    algorithm = {name: agent["algorithm"][name] for name in known if name in agent["algorithm"]}
-    runner = {name: agent[name] for name in RUNNER if name in agent}
-    runner |= {"experiment_name": task, "obs_groups": {"policy": groups["actor"], "critic": groups["critic"]}}
-    lost = [name for name, value in agent["algorithm"].items() if name not in (*known, "optimizer") and value]
-    notes = [f"agent.algorithm.{name}: set it in Isaac Lab's config of the agent" for name in lost]
-    if critic["activation"] != actor["activation"]:
-        notes.append(f"agent.critic.activation: {critic['activation']}, but Isaac Lab has one for both networks")
-    return {"seed": seed, **runner, "policy": policy, "algorithm": algorithm}, notes
 
 
 def io_descriptors(env: ManagerBasedRLEnv, groups: Sequence[str]) -> Tree:
