@@ -10,9 +10,9 @@ from sim.terrain.tiles import placed
 
 from evaluation.conftest import balancer, protocol
 from evaluation.synthetic import DT, fall, still, times
-from wheelleg_exp.evaluation import evaluate, terrain_tests
+from wheelleg_exp.evaluation import disturbance_tests, evaluate
+from wheelleg_exp.evaluation.disturbance_tests import tiles
 from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
-from wheelleg_exp.evaluation.terrain_tests import tiles
 from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.sim.terrain import PyramidSlope, TerrainGenerator, UniformNoise
 
@@ -26,7 +26,7 @@ def options(**changes: Any) -> Strip:
 
 
 def made_ground(asked: Strip) -> TerrainGenerator:
-    node = terrain_tests.strip_ground(asked, FRICTION, seed=3)
+    node = disturbance_tests.strip_ground(asked, FRICTION, seed=3)
     kinds = {
         name: UniformNoise(**{key: value for key, value in kind.items() if key != "_target_"})
         for name, kind in node.pop("sub_terrains").items()
@@ -43,7 +43,7 @@ def test_strips_have_the_configured_place_and_roughness():
         env=SimpleNamespace(scene=SimpleNamespace(terrain=ground), device=torch.device("cpu")),
         scenarios=SimpleNamespace(cell_of=lambda: cell),
     )
-    terrain_tests.place_before_strip(rollout, asked)
+    disturbance_tests.place_before_strip(rollout, asked)
     x = torch.linspace(-0.5, 3.2, 3701)
     for amplitude, origin in zip(asked.amplitudes, ground.env_origins, strict=True):
         assert origin[2] == 0.0
@@ -55,7 +55,7 @@ def test_strips_have_the_configured_place_and_roughness():
         flat = heights[:, inside].square().mean().sqrt()  # Linear interpolation gives less than a / sqrt(3).
         assert 0.6 * amplitude / math.sqrt(3) < flat < amplitude / math.sqrt(3)
         assert heights[:, (x < 0.88 - 1e-3) | (x > 1.52 + 1e-3)].max() == 0.0
-    node = terrain_tests.strip_ground(asked, FRICTION, seed=3)
+    node = disturbance_tests.strip_ground(asked, FRICTION, seed=3)
     assert node["border_width"] >= asked.lin_vel_x * asked.horizon_s - asked.before - asked.length
 
 
@@ -76,7 +76,7 @@ def test_what_is_measured_where():
     wave *= torch.where(time < 2.0, 0.5, parts)  # The motion at the start does not count.
     made.pitch[:, 0] = -0.1 + wave  # The robot leans.
     made.vel[:, 0, 0] += parts
-    found = terrain_tests.crossing(made, asked, settle_s=1.0)
+    found = disturbance_tests.crossing(made, asked, settle_s=1.0)
     for name, size in (("before", 0.01), ("on", 0.2), ("behind", 0.03)):
         assert float(found[f"swing_rad_{name}"]) == pytest.approx(size, rel=0.05), name
         assert float(found[f"error_vx_{name}"]) == pytest.approx(size, rel=0.05), name
@@ -91,7 +91,7 @@ def test_recovery_is_when_it_is_as_quiet_as_before(swings_s, recovered):
     time = times(made)
     lean = 0.05  # A constant lean is not a swing.
     made.pitch[:, 0] = lean + torch.where((time > 3.0) & (time < 5.0 + swings_s), 0.1, 0.0)
-    found = terrain_tests.crossing(made, asked, settle_s=1.0)
+    found = disturbance_tests.crossing(made, asked, settle_s=1.0)
     assert float(found["recovery_s"]) == pytest.approx(swings_s, abs=3 * DT)
     assert float(found["recovered"]) == recovered
 
@@ -102,7 +102,7 @@ def test_who_falls_stops_or_comes_late_has_not_recovered():
     made.pos[:, 1, 0] = made.pos[:, 1, 0].clamp(max=0.5)  # The robot never reaches the strip.
     made.pos[:, 2, 0] *= 0.25 / 0.3  # The robot leaves the strip at 6 s, early enough.
     made.pos[:, 3, 0] *= 0.2 / 0.3  # The robot leaves the strip at 7.5 s, too late.
-    found = terrain_tests.crossing(made, asked, settle_s=1.0)
+    found = disturbance_tests.crossing(made, asked, settle_s=1.0)
     assert found["recovered"].tolist() == found["success"].tolist() == [0.0, 0.0, 1.0, 0.0]
     assert found["distance_ratio"].tolist() == pytest.approx([4 / 9, 0.5 / 2.7, 0.25 / 0.3, 0.2 / 0.3], abs=0.01)
     assert math.isnan(float(found["error_vx_on"][1]))

@@ -2,7 +2,7 @@
 
 ``protocol.evaluate`` runs a policy in all tests of a protocol (``protocol_options``, ``scenarios``) and returns a
 ``result.Evaluation``: one row per episode, and metrics with intervals (``metric_catalogue``). The columns of the rows
-are in ``motion_columns``, ``terrain_tests``, and ``disturbance_tests``. ``method_comparison`` compares evaluations, and
+are in ``motion_columns`` and ``disturbance_tests``. ``method_comparison`` compares evaluations, and
 ``lqr_balancer`` is a reference. ``evaluate`` is imported at the first use, because it imports torch.
 """
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.evaluation import disturbance_tests, motion_columns, protocol_options, scenarios, terrain_tests
+from wheelleg_exp.evaluation import disturbance_tests, motion_columns, protocol_options, scenarios
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, on_ground, target_heights
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
 from wheelleg_exp.evaluation.motion_columns import Columns, Motion
@@ -165,13 +165,13 @@ def _run(subject: Subject, table: Scenarios) -> Part:
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
     env, options = subject.options(table), subject.protocol
     if table.test == "terrain" and options.terrain is not None:
-        rollout = subject.rollout(table, on_ground(env, terrain_tests.tiles(options.terrain, subject.seed)))
-        terrain_tests.place_on_tiles(rollout, options.terrain)
+        rollout = subject.rollout(table, on_ground(env, disturbance_tests.tiles(options.terrain, subject.seed)))
+        disturbance_tests.place_on_tiles(rollout, options.terrain)
         return rollout
     if table.test == "strip" and options.strip is not None:
-        ground = terrain_tests.strip_ground(options.strip, env.scene.terrain, subject.seed)
+        ground = disturbance_tests.strip_ground(options.strip, env.scene.terrain, subject.seed)
         rollout = subject.rollout(table, on_ground(env, ground))
-        terrain_tests.place_before_strip(rollout, options.strip)
+        disturbance_tests.place_before_strip(rollout, options.strip)
         return rollout
     if table.test == "get_up" and options.get_up is not None:
         target = "wheelleg_exp.mdp.events.reset_to_resting_pose"
@@ -245,9 +245,9 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     if isinstance(options, protocol_options.GetUp):
         columns |= motion_columns.resting_sides(made)
     if isinstance(options, protocol_options.Terrain):
-        columns |= motion_columns.errors(made, settle) | terrain_tests.ways(made, rollout, options)
+        columns |= motion_columns.errors(made, settle) | disturbance_tests.ways(made, rollout, options)
     if isinstance(options, protocol_options.Strip):
-        columns |= terrain_tests.crossing(made, options, settle)
+        columns |= disturbance_tests.crossing(made, options, settle)
     return columns
 
 
