@@ -22,10 +22,9 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.project.create import create
+from wheelleg_exp.project.create import config_files, create
 from wheelleg_exp.project.robot_yaml import leg_gains, names, number, robot_yaml, spawn_height, wheel_gains
 from wheelleg_exp.project.survey import survey
-from wheelleg_exp.project.task_yaml import config_files
 
 END = "</robot>"
 TRUNK = '<box size="0.2 0.1 0.1"/>'

@@ -11,7 +11,7 @@ from wheelleg_exp.cli.arguments import add_json, add_overrides, print_json
 from wheelleg_exp.errors import EXIT_OK, WheellegError
 
 if TYPE_CHECKING:
-    from wheelleg_exp.jobs.run_agent import AgentKind
+    from wheelleg_exp.jobs.play_policy import AgentKind
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def _run(kind: AgentKind, args: argparse.Namespace) -> int:
 
     from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_figures, print_recording
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.run_agent import run_agent
+    from wheelleg_exp.jobs.play_policy import run_agent
 
     with ConsoleDisplay(quiet=args.json) as display:
         made = run_agent(kind, composed, args.steps, display)

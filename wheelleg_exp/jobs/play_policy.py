@@ -1,4 +1,7 @@
-"""Play a trained policy for one episode, and save the metrics and a recording in the directory of the run."""
+"""Play a trained policy for one episode, and save the metrics and a recording in the directory of the run.
+
+``run_agent`` runs zero or random actions instead, to inspect a task before training.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,31 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
+from wheelleg_exp.build import build_env
+from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.checking.find_mistakes import check_tree
-from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
+from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose, placing, require_read
 from wheelleg_exp.config.config_errors import raise_all
-from wheelleg_exp.config.schema import PlayRoot
+from wheelleg_exp.config.schema import Experiment, PlayRoot
 from wheelleg_exp.config.tree_lookup import at, section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_disturbances
 from wheelleg_exp.errors import SimulationFailure
-from wheelleg_exp.files import dump_json, write_json
+from wheelleg_exp.files import dump_json, while_running, write_json, write_yaml
 from wheelleg_exp.jobs import rollout_files
 from wheelleg_exp.jobs.job_display import Display
-from wheelleg_exp.jobs.rollout_figures import MotionFigures, MotionMeter, StandFigures, StandMeter
+from wheelleg_exp.jobs.rollout_figures import (
+    ContactFigures,
+    ContactMeter,
+    MotionFigures,
+    MotionMeter,
+    StandFigures,
+    StandMeter,
+)
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.managers.non_finite import require_finite_actions
@@ -31,6 +43,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run import run_config
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.sim.sensors import ContactSensor
 from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.user_exceptions import ending_as
 
@@ -165,3 +178,76 @@ def _roll(prepared: RunPolicy, meter: StandMeter, failures: FailureCount, displa
         display.steps(step + 1, env.max_episode_length)
         if not meter.running.any():
             break
+
+
+AgentKind = Literal["zero", "random"]
+
+# Contact forces are measured after the robot has landed (a drop of 15 mm takes 0.06 s) and before the robot falls.
+SETTLE_S = 0.2
+UPRIGHT_RAD = 0.2
+
+
+@dataclass(frozen=True)
+class AgentRun:
+    """The result of a rollout with zero or random actions."""
+
+    folder: Path
+    recording: Path | None
+    contacts: dict[str, list[ContactFigures]]  # maps each contact sensor to the forces on the links of standing robots
+    figures: StandFigures  # the duration and termination of the first episode of each environment
+    failures: FailureCount  # the episodes that ended because a number was NaN or inf
+
+
+def run_agent(kind: AgentKind, composed: Composed, steps: int | None, display: Display) -> AgentRun:
+    """Run zero or uniform random actions in [-1, 1] for ``steps`` (None: one episode), and record the rollout."""
+    with composed.placing():
+        experiment = read_section(Experiment, composed.config, "")
+        require_recorded(composed.config)
+        env = build_env(composed.config, composed.asset_roots)
+    display.environment(env.describe())
+    run, task = experiment.run, experiment.task.name
+    name = "_".join(part for part in (kind, run.name) if part)
+    directory = RunDirectory.create(run.root, task, experiment.seed, name=name, section="agents")
+    with while_running():
+        write_yaml(directory.path / "config.yaml", composed.config)
+        sensors = [name for name in env.scene.sensors if isinstance(env.scene[name], ContactSensor)]
+        meters = {name: ContactMeter(env, name, SETTLE_S, UPRIGHT_RAD) for name in sensors}
+        stand = StandMeter(env, settle_s=0.0)
+        failures = FailureCount(env.num_envs, experiment.agent.max_non_finite)
+        env.observers += [stand.observe, *(meter.observe for meter in meters.values())]
+        options, recording = experiment.recording, None
+        if options.enabled:
+            about = {"run_id": directory.id, "task": task, "agent": kind}
+            title, documents = f"{directory.id} {kind} agent", rollout_files.config_document(composed.config)
+            recording = rollout_files.EpisodeRecording(
+                directory.recording, env, options, name=title, about=about, documents=documents
+            )
+            recording.warn(display.note)
+        shape = (env.num_envs, env.action_manager.total_action_dim)
+        draws = env.streams.get("agent.random") if kind == "random" else None
+
+        def act() -> torch.Tensor:
+            return torch.zeros(shape) if draws is None else 2.0 * torch.rand(shape, generator=draws) - 1.0
+
+        with recording or nullcontext():
+            _roll_agent(env, act, steps or env.max_episode_length, failures, display)
+            contacts = {name: meter.figures() for name, meter in meters.items()}
+            content = {"agent": kind, "figures": stand.figures().as_dict()}
+            content["contacts"] = {name: [asdict(row) for row in rows] for name, rows in contacts.items()}
+            if recording is not None:
+                recording.figures(content)
+        rollout_files.close_dataset(directory.dataset, env)
+        write_json(directory.path / "figures.json", content)
+        return AgentRun(directory.path, recording.path if recording else None, contacts, stand.figures(), failures)
+
+
+@ending_as(SimulationFailure)
+@torch.inference_mode()
+def _roll_agent(
+    env: ManagerBasedRLEnv, actor: Callable[[], torch.Tensor], steps: int, failures: FailureCount, display: Display
+) -> None:
+    env.reset()
+    for step in range(steps):
+        *_, extras = env.step(actor())
+        failures.take(extras)
+        display.steps(step + 1, steps)

@@ -2,8 +2,8 @@
 
 | module | what it offers |
 |---|---|
-| `create` | copy the robot's file with all files that it names, write everything, check it, and move it to its place |
+| `create` | copy the robot's file with all files that it names, write and check all files, move them to their place |
 | `survey` | measure the robot and choose its standing pose |
 
-| `robot_yaml`, `task_yaml` | write the configs |
+| `robot_yaml` | write the robot's config |
 """

@@ -56,7 +56,7 @@ def print_figures(figures: StandFigures, motion: MotionFigures | None = None) ->
 
 def print_contacts(sensor: str, rows: list[ContactFigures]) -> None:
     """Print the contact force on each robot link that was measured while the robot stood still."""
-    from wheelleg_exp.jobs.run_agent import SETTLE_S, UPRIGHT_RAD
+    from wheelleg_exp.jobs.play_policy import SETTLE_S, UPRIGHT_RAD
 
     steps = _counted(rows[0].steps if rows else 0, "step")
     words = f"{sensor}: normal force at the end of a step, over {steps} of all episodes and environments, "
