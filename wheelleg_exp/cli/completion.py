@@ -143,10 +143,10 @@ def _of(action: argparse.Action, word: str, given: dict[str, list[str]]) -> list
     in_pipeline = any("." in text and names_pipeline(text) for text in (*before, word))
     primary = given.get("primary", [PIPELINE if in_pipeline else "train"])[-1]
     if kind in ("override", "robot", "key"):
-        from wheelleg_exp.config.explaining.alternatives import complete_key, complete_override
+        from wheelleg_exp.config.explaining.alternatives import complete_override
 
         files = _files(word) if kind == "robot" and "=" not in word else []
-        return files + (complete_key if kind == "key" else complete_override)(word, before, folders, primary)
+        return files + complete_override(word, before, folders, primary, as_key=kind == "key")
     if kind == "primary":
         return sorted(path.stem for path in configs_dir().glob("*.yaml"))
     from wheelleg_exp.config.explaining import catalog

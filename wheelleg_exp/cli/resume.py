@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, offer, together
@@ -37,10 +38,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _resume(args: argparse.Namespace, stop: StopRequest, ranks: Ranks | None = None) -> int:
-    from wheelleg_exp.run.run_index import find_pipeline
+    from wheelleg_exp.run.run_directory import PIPELINE_NAME, PIPELINES, is_pipeline
 
     with ranks.agreed() if ranks else nullcontext():
-        pipeline = find_pipeline(args.run, args.root)
+        run, root = Path(args.run), Path(args.root)
+        places = [run, root / PIPELINES / run, root / run, *([run.parent] if run.name == PIPELINE_NAME else [])]
+        pipeline = next((place.resolve() for place in places if is_pipeline(place)), None)
         if pipeline is not None:
             require_alone("pipeline")
         else:

@@ -23,7 +23,6 @@ from wheelleg_exp.run.run_directory import (
     RunDirectory,
     checkpoint_iteration,
     create_exclusively,
-    is_pipeline,
 )
 from wheelleg_exp.run.run_lock import ProcessId, this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
@@ -320,12 +319,3 @@ class PipelineIndex(_RunIndex):
     def finish(self, status: PipelineStatus, why: str | None) -> None:
         self.data |= {"status": status, "why": why, "ended": utc_text(utc_now())}
         self.write()
-
-
-def find_pipeline(named: str | Path, root: str | Path) -> Path | None:
-    """Find a pipeline's folder by its path, or by the pipeline's id below ``root``; None if there is no pipeline."""
-    for folder in (Path(named), Path(root) / PIPELINES / str(named), Path(root) / str(named)):
-        if is_pipeline(folder):
-            return folder.resolve()
-    path = Path(named)
-    return path.parent.resolve() if path.name == PIPELINE_NAME and is_pipeline(path.parent) else None

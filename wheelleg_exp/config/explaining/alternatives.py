@@ -172,12 +172,15 @@ def completion_view(before: Sequence[str], config_dirs: Sequence[Path], primary:
 
 
 def complete_override(
-    word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
+    word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train", *, as_key: bool = False
 ) -> list[str]:
-    """Complete the unfinished override ``word``; ``before`` contains the earlier overrides of the command line."""
+    """Complete an unfinished override, or with ``as_key`` a key or group; ``before`` contains the earlier overrides."""
     seen = completion_view(before, config_dirs, primary)
     if seen is None:
         return []
+    if as_key:
+        names = [name for name in seen.mounts if name.startswith(word)]
+        return list(dict.fromkeys([*_keys(seen.tree, word, removable=True), *names]))
     sign = word[: len(word) - len(word.lstrip("+~"))]
     text = word[len(sign) :]
     if "=" in text:
@@ -201,17 +204,6 @@ def complete_override(
     groups = [f"{name}=" for name, several in seen.mounts.items() if (several or sign != "+") and name.startswith(text)]
     found = [] if sign == "+" else _keys(seen.tree, text)
     return [sign + name for name in [*groups, *found]]
-
-
-def complete_key(
-    word: str, before: Sequence[str], config_dirs: Sequence[Path] = (), primary: str = "train"
-) -> list[str]:
-    """Return the config keys and the config groups whose names start with ``word``."""
-    seen = completion_view(before, config_dirs, primary)
-    if seen is None:
-        return []
-    names = [name for name in seen.mounts if name.startswith(word)]
-    return list(dict.fromkeys([*_keys(seen.tree, word, removable=True), *names]))
 
 
 def _keys(tree: Mapping[str, object], text: str, *, removable: bool = False) -> list[str]:

@@ -139,8 +139,7 @@ def explain_key(composed: Composed, key: str) -> Explanation:
     explained = keys and (
         _removed(composed, tree, keys)
         or _present(composed, tree, keys, found)
-        or _group(key, found)
-        or _not_selected(keys, found)
+        or _group_or_option(key, keys, found)
         or _not_set(tree, keys)
     )
     if not explained:
@@ -213,14 +212,10 @@ def _removed(composed: Composed, tree: dict[str, object], keys: Keys) -> Explana
     return None
 
 
-def _group(key: str, found: list[Mount]) -> Explanation | None:
+def _group_or_option(key: str, keys: Keys, found: list[Mount]) -> Explanation | None:
     mount = next((m for m in found if m.name == key), None) or next((m for m in found if m.group == key), None)
-    if mount is None:
-        return None
-    return Explanation(mount.name, "group", value=list(mount.selected), has_value=True, mount=mount)
-
-
-def _not_selected(keys: Keys, found: list[Mount]) -> Explanation | None:
+    if mount is not None:
+        return Explanation(mount.name, "group", value=list(mount.selected), has_value=True, mount=mount)
     mount = mount_of(found, keys)
     option = option_of(mount, keys) if mount is not None else None
     if mount is None or option not in mount.options or option in mount.selected:
