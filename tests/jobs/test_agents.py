@@ -8,7 +8,6 @@ import yaml
 
 from jobs.test_play import Silent
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.play_policy import run_agent
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.recording.reading.recording_reader import Recording

@@ -13,8 +13,8 @@ from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import write_text
 from wheelleg_exp.jobs.replay import replay_run
 from wheelleg_exp.jobs.replay import restored_imports as replay_boot
-from wheelleg_exp.jobs.replay.replay_run import RestoredSource, _register, describe_code, restore_all
-from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayDisplay, Request, _first_difference
+from wheelleg_exp.jobs.replay.replay_run import RestoredSource, describe_code, restore_all
+from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, Request, _first_difference
 from wheelleg_exp.run.environment import replay_environ, requested_variables
 from wheelleg_exp.run.environment import variables as recorded_variables
 from wheelleg_exp.run.manifest import Manifest

@@ -29,7 +29,6 @@ from wheelleg_exp.definitions import scalar_definition
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import Interrupted
 from wheelleg_exp.jobs.train import prepare_training, run_training, training_outputs
-from wheelleg_exp.jobs.train.training_outputs import event_files, open_events
 from wheelleg_exp.mdp import observations
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.recording.reading.recording_reader import Recording

@@ -9,8 +9,8 @@ import torch
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.config.schema import Drive
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_page import DrivePage, InputServer, keys_html
-from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_page import DrivePage
+from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
