@@ -1,5 +1,7 @@
 """Measure the cost of code as a count of Python instructions, which does not depend on the load of the machine."""
 
+from __future__ import annotations
+
 import sys
 import threading
 from collections.abc import Callable

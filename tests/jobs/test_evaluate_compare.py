@@ -11,7 +11,7 @@ import pytest
 
 from jobs.small import refused, succeed
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.jobs.evaluate_policy import RESULT, read_content, read_evaluation
+from wheelleg_exp.jobs.saved_evaluation import RESULT, read_content, read_evaluation
 
 pytestmark = pytest.mark.train
 

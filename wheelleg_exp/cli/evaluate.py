@@ -144,7 +144,7 @@ def _compare(
     json: bool,
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
-    from wheelleg_exp.jobs.evaluate_policy import compare
+    from wheelleg_exp.jobs.compare_evaluations import compare
 
     found = compare(made, against, reference, command, engines=engines)
     if json:

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 def _write(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.evaluate import Evaluator, found
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.evaluate_policy import compare
+    from wheelleg_exp.jobs.compare_evaluations import compare
     from wheelleg_exp.jobs.result_record import earlier_manifests, require_one_method, write_results
 
     names = [word for word in args.runs if not is_override(word)]

@@ -1,16 +1,12 @@
-"""Evaluate policies or an LQR controller in fixed scenarios, compare evaluations, and save both in a run directory."""
+"""Evaluate a policy or an LQR controller in fixed scenarios, and save the result in ``evaluation/<time>/`` of a run."""
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict
 
@@ -21,118 +17,31 @@ from wheelleg_exp.config.composing.compose import apply_overrides, compose, plac
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
-from wheelleg_exp.evaluation import method_comparison as comparison
+from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.evaluation.evaluation_env import evaluation_options, target_heights
 from wheelleg_exp.evaluation.lqr_balancer import Reference
-from wheelleg_exp.evaluation.method_comparison import Difference, OverSeeds
 from wheelleg_exp.evaluation.protocol import MakePolicy, Progress, evaluate
 from wheelleg_exp.evaluation.protocol_options import EvaluateRoot, Protocol
-from wheelleg_exp.evaluation.result import FORMAT, Evaluation, Figure, plain
-from wheelleg_exp.files import for_people, read_json, sha256, write_json, write_text
+from wheelleg_exp.evaluation.result import Evaluation
+from wheelleg_exp.files import sha256, write_json
 from wheelleg_exp.jobs.rollout_files import checkpoint_facts, dated_folder
+from wheelleg_exp.jobs.saved_evaluation import (
+    EPISODES,
+    RESULT,
+    read_content,
+    read_evaluation,
+    write_episodes,
+)
 from wheelleg_exp.jobs.saved_robot import require_same_robot, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.rl.network_loading import load_policy
 from wheelleg_exp.rl.options import Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.run import run_config
-from wheelleg_exp.run.records import Addition
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.sim.options import engine_kind, read_env
 from wheelleg_exp.terms.config_sections import plain_section, read_section
 from wheelleg_exp.user_exceptions import ending_as
-
-RESULT, EPISODES = "evaluation.json", "episodes.csv"
-_EXPECTED = "an evaluation that wheelleg evaluate has written"
-
-
-def write_episodes(path: Path, episodes: Mapping[str, np.ndarray]) -> None:
-    """Write the evaluated episodes as CSV, one per row; Python's number format preserves every bit of a float."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(episodes)
-    for row in zip(*(column.tolist() for column in episodes.values()), strict=True):
-        # NaN becomes an empty cell, and a whole number is written without a decimal point.
-        writer.writerow("" if x != x else int(x) if isinstance(x, float) and x.is_integer() else x for x in row)
-    write_text(path, file.getvalue())
-
-
-def read_content(folder: Path) -> dict[str, Any]:
-    """Return the content of a saved ``evaluation.json``."""
-    path = folder / RESULT
-    content = read_json(path)
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise RunDirectoryError(f"the file is not an evaluation in format {FORMAT}", key=str(path), expected=_EXPECTED)
-    return content
-
-
-def read_evaluation(folder: Path) -> Evaluation:
-    """Load a saved evaluation and the episodes of this evaluation."""
-    content = read_content(folder)
-    try:
-        metrics = {}
-        for name, value in content["metrics"].items():
-            numbers = (math.nan if value[key] is None else float(value[key]) for key in ("value", "low", "high"))
-            found, low, high = numbers
-            metrics[name] = Figure(found, low, high, value["episodes"], value["unit"], value["better"])
-        facts = {key: content[key] for key in ("protocol", "seed", "scenarios_sha256", "starts_sha256", "about")}
-        return Evaluation(episodes=read_episodes(folder / EPISODES), metrics=metrics, **facts)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunDirectoryError(f"the evaluation is damaged: {error!r}", key=str(folder), expected=_EXPECTED) from error
-
-
-def read_episodes(path: Path) -> dict[str, np.ndarray]:
-    """Return the columns of ``episodes.csv``: texts, or numbers with NaN for empty cells."""
-    with for_people(path, "read"):
-        rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
-    if not rows:
-        raise RunDirectoryError("the file is empty", key=str(path), expected=_EXPECTED)
-    return {name: _column([row[i] for row in rows[1:]]) for i, name in enumerate(rows[0])}
-
-
-# ``MARGINS`` maps the margins that reports and bundles show to their names and units.
-MARGINS = {
-    "robust/margin/delay": ("delay of the actions", "s"),
-    "robust/margin/noise": ("noise of the sensors", "times noise_std"),
-    "robust/margin/kick": ("kick forwards or backwards", "m/s"),
-    "robust/margin/slope": ("slope of the floor", "rad"),
-}
-
-
-class Margin(NamedTuple):
-    """The largest change of one property that a policy survives, and that of the reference controller if measured."""
-
-    name: str
-    unit: str
-    policy: float
-    reference: float | None
-
-
-def margins_of(additions: Sequence[Addition], checkpoint_sha256: str | None = None) -> list[Margin]:
-    """Return the margins of a run's newest evaluation that measured any, of a checkpoint if given; [] without one."""
-
-    def margins(results: Mapping[str, object]) -> dict[str, float]:
-        metrics = results.get("metrics")
-        found = {name: metrics.get(name) for name in MARGINS} if isinstance(metrics, Mapping) else {}
-        return {name: value for name, value in found.items() if isinstance(value, (int, float))}
-
-    results = [(entry.kind, entry.results) for entry in additions if margins(entry.results)]
-    sha, scenarios = "checkpoint_sha256", "scenarios_sha256"
-    mine = [r for kind, r in results if kind == "evaluation" and checkpoint_sha256 in (None, r.get(sha))]
-    if not mine:
-        return []
-    same = [r for kind, r in results if kind == Reference.name and r.get(scenarios) == mine[-1].get(scenarios)]
-    reference = margins(same[-1]) if same else {}
-    return [Margin(*MARGINS[name], value, reference.get(name)) for name, value in margins(mine[-1]).items()]
-
-
-def _column(cells: Sequence[str]) -> np.ndarray:
-    try:
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-    except ValueError:
-        return np.array(cells)
-
 
 _ALTERNATIVES = {
     "env.num_envs": "the episodes of a test, such as protocol.stand.episodes",
@@ -280,87 +189,3 @@ def stored_evaluation(
         if (*made, run_overrides(content.get("overrides") or [])) == asked:
             return Evaluated(run, checkpoint, folder, read_evaluation(folder), content)
     return None
-
-
-COMPARISON = "comparison.json"
-COMPARISON_FORMAT = 1
-
-
-@dataclass(frozen=True)
-class Compared:
-    """The result of a comparison of runs: each metric over all runs, and differences from a second group of runs."""
-
-    folder: Path
-    seeds: list[OverSeeds]
-    differences: list[Difference]  # empty without ``against``
-    verdict: str  # empty without ``against``
-    push_verdict: str
-    content: dict[str, Any]  # the content of ``comparison.json``
-
-
-def compare(
-    runs: Sequence[Evaluated],
-    against: Sequence[Evaluated],
-    reference: Evaluated | None,
-    command: Sequence[str],
-    name: str | None = None,
-    engines: Sequence[str] = (),
-) -> Compared:
-    """Compare the evaluations of runs, and save the comparison in the directory of the first run.
-
-    ``runs`` and ``against`` are runs of two training methods with different seeds. ``name`` is the common name of
-    ``runs``, by default the id of the first run. ``engines`` names two engines with which the same runs were evaluated.
-    """
-    seeds = comparison.over_seeds([made.evaluation for made in runs])
-    found = comparison.differences([m.evaluation for m in runs], [m.evaluation for m in against]) if against else []
-    names = name or group_name(runs), group_name(against) if against else ""
-    # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
-    trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
-    if engines:
-        said, pushed = comparison.engine_verdict(found, *engines), ""
-        abouts = [made.evaluation.about for made in (*runs, *against)]
-        if odd := dict.fromkeys(text for about in abouts for text in about.get("robot_differences", ())):
-            said += f" The robot differs between {' and '.join(engines)}: {', '.join(odd)}."
-    else:
-        said = comparison.verdict(found, *names, trainings) if against else ""
-        pushed = comparison.push_verdict(found, *names)
-    evaluation = runs[0].evaluation
-    content = {
-        "format": COMPARISON_FORMAT,
-        "protocol": evaluation.protocol["name"],
-        "scenarios_sha256": evaluation.scenarios_sha256,
-        "runs": [_identify(made) for made in runs],
-        "against": [_identify(made) for made in against],
-        "reference": None if reference is None else _identify(reference),
-        "over_seeds": {row.metric: plain(asdict(row)) for row in seeds},
-        "differences": {row.metric: row.as_dict() for row in found},
-        "verdict": said,
-        "push_verdict": pushed,
-    }
-    run = runs[0].run
-    with dated_folder(run.evaluation, "_comparison") as folder:
-        write_json(folder / COMPARISON, content)
-        results = {"protocol": content["protocol"], "verdict": said, "push_verdict": pushed}
-        if engines:
-            values = {row.metric: [row.first, row.second, row.unit] for row in comparison.judged_metrics(found)}
-            results |= {"engines": list(engines), "metrics": plain(values), "runs": len(runs)}
-        run.manifest().add("comparison", [folder / COMPARISON], results, command=command)
-    return Compared(folder, seeds, found, said, pushed, content)
-
-
-def group_name(made: Sequence[Evaluated]) -> str:
-    """Return a name for a group of evaluated runs, for use in a sentence."""
-    names = [display_name(one) for one in made]
-    return names[0] if len(names) == 1 else f"{names[0]} with {len(names) - 1} more of its kind"
-
-
-def display_name(made: Evaluated) -> str:
-    """Return the name of an evaluation in a table: the id of the run, or the name of the reference controller."""
-    return made.run.id if made.checkpoint is not None else f"the {made.content['policy']} controller"
-
-
-def _identify(made: Evaluated) -> dict[str, object]:
-    about = {"run": made.run.id, "evaluation": made.folder.name, "starts_sha256": dict(made.evaluation.starts_sha256)}
-    if made.checkpoint is None:
-        return about | {"policy": made.content["policy"]}
-    return about | {"checkpoint_sha256": made.content["checkpoint_sha256"]}

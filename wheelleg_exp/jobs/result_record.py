@@ -18,7 +18,8 @@ from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.files import for_people, json_plain, read_json, read_text, write_json, write_text
-from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated, compare, evaluate_run
+from wheelleg_exp.jobs.compare_evaluations import Compared, compare
+from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_run
 from wheelleg_exp.jobs.train.source_roots import shorten
 from wheelleg_exp.jobs.training_job import JobRequest, run_request
 from wheelleg_exp.paths import TEACHER

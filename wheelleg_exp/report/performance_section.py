@@ -229,7 +229,7 @@ def evaluation_blocks(subject: Subject) -> list[Block]:
     if entry is None:
         return []
     from wheelleg_exp.inspection.evaluation_plots import panels
-    from wheelleg_exp.jobs.evaluate_policy import EPISODES, RESULT, margins_of, read_content, read_episodes
+    from wheelleg_exp.jobs.saved_evaluation import EPISODES, RESULT, margins_of, read_content, read_episodes
 
     recorded = list(entry.files)
     files = {kind: next((n for n in recorded if n.endswith(f"/{kind}")), None) for kind in (RESULT, EPISODES)}

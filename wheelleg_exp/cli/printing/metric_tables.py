@@ -13,7 +13,8 @@ from wheelleg_exp.definitions import CONTACTS, MOTION, percent, rollout_label
 
 if TYPE_CHECKING:
     from wheelleg_exp.evaluation.method_comparison import Difference
-    from wheelleg_exp.jobs.evaluate_policy import Compared, Evaluated
+    from wheelleg_exp.jobs.compare_evaluations import Compared
+    from wheelleg_exp.jobs.evaluate_policy import Evaluated
     from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
 # Metrics such as the RMS pitch ignore the first seconds of each episode, in which the robot settles.
@@ -135,7 +136,7 @@ def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]
 
 def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None) -> None:
     """Print one table with every metric of the evaluated runs and of the linear-quadratic reference controller."""
-    from wheelleg_exp.jobs.evaluate_policy import display_name
+    from wheelleg_exp.jobs.compare_evaluations import display_name
 
     print(f"protocol {made.content['protocol']}, scenarios {made.content['scenarios_sha256'][:12]}")
     for number, run in enumerate(runs, start=1):

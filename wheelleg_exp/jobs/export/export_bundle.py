@@ -23,7 +23,6 @@ from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.realism import without_realism
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.evaluate_policy import Margin, margins_of
 from wheelleg_exp.jobs.export import bundle, bundle_specification
 from wheelleg_exp.jobs.export.bundle import runner
 from wheelleg_exp.jobs.export.bundle_check import READING, TOLERANCE, TOLERANCE_FLOAT32, compare, recorded_episodes
@@ -32,6 +31,7 @@ from wheelleg_exp.jobs.export.c_header import c_header
 from wheelleg_exp.jobs.export.isaaclab_run import write_isaac_lab_run
 from wheelleg_exp.jobs.export.leapp_bundle import leapp_readings, write_leapp
 from wheelleg_exp.jobs.export.policy_json import PolicyJson
+from wheelleg_exp.jobs.saved_evaluation import Margin, margins_of
 from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.machine import require_memory
