@@ -45,11 +45,9 @@ def test_a_statement_about_many_prims_is_printed_once(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["-o", "out.xml"], "IN"),
         (["absent.usda"], "-o/--output"),
         (["absent.usda", "-o", "out.xml"], "there is no file 'absent.usda'"),
         (["absent.usda", "-o", "out.xml", "--base", "wheels"], "floating"),
-        (["absent.usda", "-o", "out.xml", "--jsn"], "--json"),
         ([STOCK, "-o", "out.xml", "--variant", "Physics=None"], "has no articulation"),
         ([STOCK, "-o", "out.xml", "--variant", "Physics"], "SET=NAME"),
         ([STOCK, "-o", "out.xml", "--variant", "Sensors=None"], "did you mean 'Sensor'?"),

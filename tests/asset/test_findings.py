@@ -87,14 +87,6 @@ def test_the_assumed_share_of_the_mass_is_that_of_what_the_file_does_not_weigh(t
     assert done.report.verdict.reasons == ("50% of the mass is assumed",)
 
 
-def test_a_robot_without_colliders_leads_its_report_with_that(tmp_path, capsys):
-    source = urdf.write(tmp_path, urdf.pair("continuous"))
-    assert main(["convert", str(source), "-o", str(tmp_path / "out.xml")]) == 0
-    first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first == "bot.urdf: DOUBTFUL: the robot has no colliders"
-    assert second == "warning: no shape of the robot collides: it falls through any ground"
-
-
 WHEEL = '<collision><geometry><cylinder radius="{}" length="0.02"/></geometry></collision>'
 
 

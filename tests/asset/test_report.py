@@ -11,7 +11,6 @@ from pxr import Usd
 
 from wheelleg_exp.asset import Report, convert, convert_robot
 from wheelleg_exp.asset.mjcf import compile_mjcf
-from wheelleg_exp.asset.usd.ledger import Ledger
 
 from .small_usd import applied, converted, cube_inside, link, two_links, warned, write
 
@@ -148,16 +147,6 @@ EMPTY = 'def Xform "collisions" (prepend apiSchemas = ["PhysicsCollisionAPI"])\n
 def test_a_collider_without_a_hull_is_warned_about(tmp_path, inside, told):
     _, done = converted(write(tmp_path, link("a", inside=inside)))
     assert any(told in text for text in done.report.warnings)
-
-
-def test_an_entry_that_is_left_out_after_all_is_not_mapped_as_well():
-    ledger = Ledger()
-    ledger.mapped("/a", "x", "something")
-    ledger.leave("/a", "x", "no place")
-    ledger.mapped("/a", "x", "something")
-    mapped, _, left, _ = ledger.entries()
-    assert (mapped, left[0].values) == ((), {"/a": ""})
-    assert ledger.knows("/a", "x")
 
 
 def test_is_one_json_document_that_can_be_read_back_and_its_assumptions_are_in_the_models_head(conversion):

@@ -46,18 +46,15 @@ def _composed(words: tuple[str, ...], primary: str, folders: tuple[Path, ...]) -
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def trial(trained, tmp_path, tmp_path_factory, monkeypatch) -> Trial:
+    """Return a trial with a copy of the healthy run in a folder of the test."""
+
     def once(overrides=(), *, primary="train", config_dirs=()):
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
     monkeypatch.setattr(plot_images, "_plot", lambda panel: Plot(None, panel.title))
     monkeypatch.setattr(play_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
-
-
-@pytest.fixture
-def trial(trained, tmp_path, tmp_path_factory, monkeypatch, quick) -> Trial:
-    """Return a trial with a copy of the healthy run in a folder of the test."""
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))
     monkeypatch.setenv(VARIABLE, SECRET)
     run = tmp_path / "runs" / "stand" / trained.run.id

@@ -271,11 +271,9 @@ def test_no_command_runs_code_of_records_in_its_working_folder(archive):
 GATE = {"protocol": "stand", "at_least": {"stand/survival": 1.0}}
 PIPELINES: dict[str, Callable[[Archive], dict[str, Any]]] = {
     "a folder": lambda archive: {"config_dirs": archive.configs[:1], "phase": {"task": "evil"}},
-    "a folder seen from here": lambda archive: {"config_dirs": archive.configs[1:2], "phase": {"task": "evil"}},
     "a folder seen from the record": lambda archive: {"config_dirs": archive.configs[2:], "phase": {"task": "evil"}},
     "a missing folder": lambda _: {"config_dirs": ["gone"]},
     "a search path": lambda archive: {"overrides": [f"hydra.searchpath=[file://{archive.configs[0]}]", "task=evil"]},
-    "a module": lambda _: {"overrides": ["hydra.searchpath=[pkg://yaml]"]},
     "an option": lambda archive: {"phase": {"overrides": [f"--config-dir={archive.configs[0]}"]}},
     "a variable": lambda _: {"overrides": ["run.name=${oc.env:TRIAL_VARIABLE}"]},
     "a target": lambda _: {"overrides": [WORD]},
@@ -324,9 +322,7 @@ def test_the_folders_of_a_pipeline_are_named_and_may_be_given(archive):
 
 RESULTS: dict[str, Callable[[Archive], tuple[list[Any], list[Any]]]] = {
     "an option": lambda archive: (["task=evil", f"--config-dir={archive.configs[0]}"], []),
-    "an option in two words": lambda archive: (["task=evil", "--config-dir", archive.configs[0]], []),
     "a sweep": lambda _: (["-m", "hydra/launcher=joblib", "seed=1,2"], []),
-    "a root": lambda _: (["--root=elsewhere"], []),
     "a search path": lambda archive: ([f"hydra.searchpath=[file://{archive.configs[0]}]", "task=evil"], []),
     "a target": lambda _: ([WORD], []),
     "a variable": lambda _: (["run.name=${oc.env:TRIAL_VARIABLE}"], []),

@@ -1,5 +1,4 @@
 import os
-import socket
 from collections.abc import Callable
 
 import pytest
@@ -54,14 +53,6 @@ READ = ["params/env.yaml", "iterations.jsonl", "recording.rrd", "source/git.json
 def test_a_report_names_it_and_reads_nothing_of_it(trial, name, make):
     trial.replace(name, make)
     trial.try_("report", 0, name)
-
-
-def test_a_socket_is_refused(trial, monkeypatch):
-    monkeypatch.chdir(trial.run.path)  # A socket needs a short path.
-    with socket.socket(socket.AF_UNIX) as made:
-        made.bind("model_9.pt")
-    monkeypatch.chdir(trial.root / "here")
-    try_all(trial, "model_9.pt", "a pipe, a socket or a device")
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])

@@ -143,17 +143,6 @@ def test_a_line_of_the_log_may_be_anything(trial, line, command):
     trial.try_each(("report", command), (0, 1))
 
 
-@pytest.mark.parametrize(
-    ("value", "command"), every_second(["x", None, [], {"a": 1}, True, 10**300], ["verify", "compare"])
-)
-def test_scalars_may_be_anything(trial, value, command):
-    lines = [json.loads(text) for text in trial.run.iterations.read_text().splitlines()]
-    for line in lines:
-        line["scalars"] = dict.fromkeys(line["scalars"], value)
-    trial.write(LOG, "".join(json.dumps(line) + "\n" for line in lines))
-    trial.try_each(("list", "json", "report", command), (0, 1))
-
-
 RECORDS = [
     {"patch": "../../../here/precious.yaml", "patch_sha256": "0" * 64},
     *({"commit": "--upload-pack=touch ../ran"}, {"tree": "x; touch ../ran"}),

@@ -35,25 +35,6 @@ def package_of_itself(folder: Path) -> Path:
     return path
 
 
-VARIANTS = """def Xform "v" (
-    variants = { string s = "a" }
-    prepend variantSets = "s"
-) {
-    variantSet "s" = {
-        "a" (variants = { string s = "b" }) {
-            def "x" (references = </bot/v>) {}
-        }
-        "b" (variants = { string s = "a" }) {
-        }
-    }
-}
-"""
-COLLECTION = """def PhysicsCollisionGroup "g" (prepend apiSchemas = ["CollectionAPI:colliders"])
-{
-    rel collection:colliders:includes = [</bot/g.collection:colliders>, </bot/a>]
-    rel physics:filteredGroups = </bot/g>
-}
-"""
 METAL = prim("m", "references = </bot/n>", "token outputs:surface.connect = </bot/m.outputs:surface>", "Material")
 MATERIALS = METAL + prim("n", "references = </bot/m>", kind="Material")
 FOLLOWERS = "".join(small_urdf.link(name) for name in "abc")
@@ -67,11 +48,9 @@ CIRCLES: dict[str, Maker] = {
     "files that refer to each other": mutual,
     "a package that is a link to itself": package_of_itself,
     "a layer below itself": usd("", header=SI + "\n    subLayers = [@./bot.usda@]"),
-    "variants that choose each other": usd(VARIANTS),
     "prims that swap places": usd("", header=SI + "\n    relocates = { </bot/a>: </bot/b>, </bot/b>: </bot/a> }"),
     "materials of each other": usd(MATERIALS),
     "an attribute of itself": usd('def "x"\n{\nfloat inputs:a.connect = </bot/x.inputs:a>\n}\n'),
-    "a collection of itself": usd(COLLECTION),
     "a joint whose ends are each other": usd(joint("</bot/j.physics:body1>", "</bot/j.physics:body0>")),
     "a joint to an attribute": usd(joint("</bot/a.physics:mass>", "</bot/a>")),
     "joints that follow each other": urdf(FOLLOWERS),

@@ -110,7 +110,6 @@ REFUSED: dict[str, tuple[Maker, str]] = {
 PASSED: dict[str, tuple[Maker, str]] = {
     "reference to a link to itself": (beside(usd(reference("./odd.usda")), "odd.usda", "loop"), "odd.usda"),
     "reference to no layer": (usd(reference("../canary")), "canary"),
-    "reference by URL": (usd(reference("file:///etc/passwd")), "passwd"),
     "reference to a variable": (usd(reference("$HOME/canary.usda")), "HOME"),
     "reference to a name without end": (usd(reference("a" * 5000 + ".usda")), "not found"),
     "reference to a script": (beside(usd(reference("odd.py")), "odd.py", SCRIPT), "odd.py"),
@@ -118,11 +117,9 @@ PASSED: dict[str, tuple[Maker, str]] = {
     "texture that is a pipe": (beside(usd(SHADER), "odd.usda", "pipe"), ""),
     "clips that are a pipe": (beside(usd(CLIPS), "odd.usda", "pipe"), ""),
     "mesh that is a pipe": (beside(urdf(mesh("odd.stl")), "odd.stl", "pipe"), "not found"),
-    "mesh that is a device": (beside(urdf(mesh("odd.stl")), "odd.stl", "zero"), "not found"),
     "mesh that is a link to itself": (beside(urdf(mesh("odd.stl")), "odd.stl", "loop"), "not found"),
     "mesh that is none": (urdf(mesh("../canary")), "not a supported mesh format"),
     "mesh out of its package": (urdf(mesh("package://../../canary")), "not a supported mesh format"),
-    "mesh in a name without end": (urdf(mesh("a" * 5000 + ".stl")), "not found"),
     "MuJoCo's include and plugins": (urdf("", INCLUDES), ""),
     "XML's include": (urdf("", XINCLUDE), ""),
     "MJCF in a name": (lambda folder: small_urdf.write(folder, PLUGIN), ""),
@@ -183,12 +180,6 @@ def test_commands_with_a_refused_robot_name_its_key_once(scratch: Scratch, comma
     assert said.err.startswith("wheelleg: error: env.robot.asset: /bot/x: ")
     assert re.search(words, said.err)
     assert said.err.count("expected a layer of USD") == 1
-
-
-def test_a_project_is_not_made_of_a_robot_that_never_ends(scratch: Scratch) -> None:
-    said = scratch.run("new", "my_robot", "--robot", REFUSED["reference to a pipe"][0](scratch.robot))
-    assert said.status == 2
-    assert "/bot/x: " in said.err
 
 
 # ---------------------------------------------------------------- packages

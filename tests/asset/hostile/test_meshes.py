@@ -64,10 +64,8 @@ DAMAGED: dict[str, tuple[str | bytes, str]] = {  # content, reason
     "STL with NaN": (stl(1, NAN, 0, 0, 0, 1, 0), "not finite"),
     "STL cut short": (stl(1, 1, 0, 0, 0, 1, 0)[:-7], "does not match its number of triangles"),
     "STL of words": ("solid\nvertex a b c\nvertex 0 0 0\nvertex 1 1 1", "could not convert"),
-    "STL of two corners": ("solid\nvertex 1 2 3\nvertex 1 2 4", "does not have three corners"),
     "OBJ with an index of 24 digits": (POINTS + "f 1 2 " + "9" * 24, "damaged"),
     "OBJ with an index before the first": (POINTS + "f -1 -2 -99", "no triangles"),
-    "OBJ with faces of two corners": (POINTS + "f\nf 1\nf 1 2", "no triangles"),
     "OBJ with points of two numbers": ("v 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", "damaged"),
     "OBJ with NaN": (POINTS.replace("1 0 0", "nan 1e999 0") + "f 1 2 3", "not finite"),
     "OBJ with too many points": (POINTS * 300 + "f 1 2 3\nf 1 2 4\n", f"the mesh file {TOO_MANY}"),
@@ -77,7 +75,6 @@ DAMAGED: dict[str, tuple[str | bytes, str]] = {  # content, reason
     "COLLADA without positions": (dae("POSITION", "NORMAL"), "without positions"),
     "COLLADA with positions elsewhere": (dae("#p", "http://127.0.0.1/x#p"), "refers to 'http://127.0.0.1/x#p'"),
     "COLLADA of polygons of 2e9 corners": (polygons("2000000000 2000000000"), "do not match"),
-    "COLLADA of more polygons than corners": (polygons("3 4"), "do not match"),
     "COLLADA in a ring": (RING, "in a cycle, or describe"),
     "COLLADA that multiplies": (TOWER, "in a cycle, or describe"),
     "COLLADA of equal shapes": (dae(scene=node(INSTANCE * 200)), TOO_MANY.removeprefix("has ")),
@@ -140,9 +137,3 @@ def test_meshes_that_take_much_memory_are_reported_and_too_large_ones_refused(sc
     assert said.status == 2
     assert "take about 12 GB of memory" in said.err
     assert "expected less than the 11 GB of this machine" in said.err
-
-
-def test_a_long_name_of_a_mesh_gives_a_file_that_every_disk_can_hold(scratch: Scratch) -> None:
-    said = scratch.convert(lambda folder: robot(folder, "網" * 83 + ".obj", small_urdf.TETRAHEDRON))
-    assert said.status == 0, said.err
-    assert len(list((scratch.out / "bot_meshes").iterdir())) == 2

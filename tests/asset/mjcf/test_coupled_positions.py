@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from wheelleg_exp.asset import convert
 from wheelleg_exp.asset.mjcf.coupled_positions import JointCouplings
+
+from ..small_urdf import joint, link, made
 
 # The follower is listed before its driver, and the last follower before the follower that it follows.
 CHAIN = """<mujoco><worldbody>
@@ -56,19 +57,14 @@ def test_joints_that_follow_one_another_end():
     JointCouplings(mujoco.MjModel.from_xml_string(circle)).follow(np.zeros(5))
 
 
-LINK = '<link name="{0}"><inertial><mass value="0.2"/><inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'  # noqa: E501
-JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="5" velocity="3"/>{3}</joint>'  # noqa: E501
-
-
 def test_the_home_keyframe_of_mimic_joints_is_at_rest(tmp_path):
+    limits = '<axis xyz="0 0 1"/><limit lower="-2" upper="2"/>'
     joints = (
-        ("follow", "base", "b", '<mimic joint="drive" multiplier="-2" offset="0.25"/>'),
-        ("drive", "base", "a", ""),
-        ("chain", "b", "c", '<mimic joint="follow" multiplier="0.5" offset="-0.1"/>'),
+        joint("follow", "base", "b", inside=limits + '<mimic joint="drive" multiplier="-2" offset="0.25"/>'),
+        joint("drive", "base", "a", inside=limits),
+        joint("chain", "b", "c", inside=limits + '<mimic joint="follow" multiplier="0.5" offset="-0.1"/>'),
     )
-    text = "".join(map(LINK.format, ("base", "a", "b", "c"))) + "".join(JOINT.format(*joint) for joint in joints)
-    (tmp_path / "r.urdf").write_text(f'<robot name="r">{text}</robot>')
-    model = mujoco.MjModel.from_xml_path(str(convert(tmp_path / "r.urdf", tmp_path / "r.xml").output))
+    model, _ = made(tmp_path, "".join(map(link, ("base", "a", "b", "c"))) + "".join(joints))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     found = [float(data.joint(name).qpos[0]) for name in ("drive", "follow", "chain")]

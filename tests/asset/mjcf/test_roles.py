@@ -75,10 +75,3 @@ def test_classes_are_called_after_what_their_members_are():
     text = Writer(robot(geom("tyre")), "").text()
     assert '<default class="leg">' in text
     assert '<joint name="one" class="leg"' in text
-
-
-def test_words_in_names_outweigh_the_leg():
-    parts = robot(geom("tyre")).bodies
-    named = [replace(parts[i], dofs=(replace(parts[i].dofs[0], name=n),)) for i, n in ((1, "L_hip"), (2, "R_hip"))]
-    text = Writer(RobotDescription("r", (parts[0], *named, *parts[3:])), "").text()
-    assert '<joint name="L_hip" class="hip"' in text

@@ -7,7 +7,6 @@ import pytest
 
 from wheelleg_exp.asset import robot_description as rd
 from wheelleg_exp.asset.mjcf.compile_mjcf import load, verify
-from wheelleg_exp.asset.mjcf.mjcf_document import Writer
 from wheelleg_exp.errors import AssetError
 
 from ..small_usd import MASS, converted, cube_inside, link, two_links, write
@@ -17,11 +16,6 @@ from ..small_usd import MASS, converted, cube_inside, link, two_links, write
 def pair(tmp_path):
     text = "float physics:lowerLimit = -10\n float physics:upperLimit = 10"
     return two_links(tmp_path, text)
-
-
-def test_the_model_that_was_written_passes(pair):
-    model, done = pair
-    verify(model, done.description, "bot.usda")
 
 
 @pytest.mark.parametrize(
@@ -35,10 +29,7 @@ def test_the_model_that_was_written_passes(pair):
         ({"parent": None}, "parent of b"),
         ({"range": (-1.0, 1.0)}, "range of j"),
         ({"axis": (0.0, 1.0, 0.0)}, "axis of j"),
-        ({"anchor": (0.0, 0.0, 0.1)}, "anchor of j"),
-        ({"kind": "slide"}, "kind of j"),
         ({"damping": 1.0}, "damping of j"),
-        ({"frictionloss": 1.0}, "friction loss of j"),
     ],
 )
 def test_a_different_body_or_joint_is_refused(pair, changes, what):
@@ -83,14 +74,6 @@ def test_colliders_are_counted_without_self_collision_too(tmp_path):
     model.geom_conaffinity[:] = 0
     with pytest.raises(AssetError, match="colliders"):
         verify(model, done.description, "bot.usda")
-
-
-def test_a_frame_without_mass_passes():
-    nothing = rd.Inertial(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-    whole = replace(nothing, mass=1.0, moments=(0.1, 0.1, 0.1))
-    bodies = (rd.Body("a", "/a", None, rd.Pose(), whole), rd.Body("b", "/b", "a", rd.Pose(), nothing))
-    robot = rd.RobotDescription("r", bodies)
-    verify(mujoco.MjModel.from_xml_string(Writer(robot, "").text()), robot, "r")
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from wheelleg_exp.asset import convert, convert_cached, source_digest
+from wheelleg_exp.asset import convert, convert_cached
 from wheelleg_exp.errors import AssetError
 
 from ..small_urdf import TETRAHEDRON, inertial, joint, link, pair, write
@@ -36,13 +36,9 @@ def refused(folder, text: str, name: str = "bot.urdf") -> str:
         (link(""), "<link> has no 'name'"),
         ('<link name="a"/><joint name="j" type="fixed"><child link="a"/></joint>', "<joint> has no <parent>"),
         (pair("continuous", '<axis xyz="0 0 0"/>'), "the axis has no direction"),
-        (pair("continuous", '<axis xyz="0 1"/>'), "'xyz' is '0 1'"),
         (pair("continuous", '<origin xyz="0 0 nan"/>'), "'xyz' is '0 0 nan'"),
         (pair("continuous", '<origin xyz="1e999 0 0"/>'), "'xyz' is '1e999 0 0'"),
-        (pair("continuous", '<origin xyz="1,0,0"/>'), "'xyz' is '1,0,0'"),
-        (pair("revolute", '<limit lower="nan" upper="1"/>'), "'lower' is 'nan'"),
         (pair("continuous", '<dynamics damping="-1"/>'), "'damping' is -1"),
-        (pair("continuous", '<origin xyz="1e300 0 0"/>'), "'xyz' is '1e300 0 0'"),
         (link("a", inertial=inertial(1e-20)), "the link moves, and its mass or inertia is below 1e-15"),
         (link("a", inertial=inertial(-2)), "'value' is -2"),
         (link("a", inertial='<inertial><mass value="1_0"/></inertial>'), "'value' is '1_0'"),
@@ -50,7 +46,6 @@ def refused(folder, text: str, name: str = "bot.urdf") -> str:
         ('<link name="world"/>', "the file contains only the world"),
         ('<xacro:include filename="x"/>' + link("a"), "the file contains unexpanded xacro"),
         (link("${prefix}a"), "the file contains unexpanded xacro"),
-        (link("$(find pkg)/a"), "the file contains unexpanded xacro"),
         (TEXTURE + link("a"), "unexpanded xacro"),
     ],
 )
@@ -78,6 +73,7 @@ BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&
         ("solid part", "not valid XML"),
         ('<?xml version="1.0" encoding="of-its-own"?><robot/>', "not valid XML: unknown encoding"),
         ("<robot>", "not valid XML"),
+        ("\n<!-- saved --><HTML lang='en'><br>", "bot.urdf' is a web page (HTML), not the file itself"),
         ("<mujoco/>", "is not a URDF: its outermost element is <mujoco>"),
         (f"{BOMB}<robot name='&b;'/>", "a document type (<!DOCTYPE ...>) is not allowed"),
         ('<!DOCTYPE robot SYSTEM "file:///etc/passwd"><robot/>', "a document type (<!DOCTYPE ...>) is not allowed"),
@@ -93,14 +89,6 @@ def test_formats_are_recognised_by_their_endings(tmp_path):
     assert ".usda, .usdc, .usdz, .urdf" in refused(tmp_path, HEAD, "bot.sdf")
     write(tmp_path, link("a")).rename(tmp_path / "BOT.URDF")
     assert convert(tmp_path / "BOT.URDF", tmp_path / "out.xml").report.model == "bot"
-
-
-def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    with pytest.raises(AssetError, match=r"there is no file '.*gone.urdf'"):
-        convert(tmp_path / "gone.urdf", tmp_path / "out.xml")
-    (tmp_path / "folder.urdf").mkdir()
-    with pytest.raises(AssetError, match="is a folder"):
-        source_digest(tmp_path / "folder.urdf")
 
 
 def test_a_urdf_has_no_variants(tmp_path):
@@ -140,11 +128,6 @@ def test_an_interrupted_swap_leaves_the_older_model_with_its_meshes(tmp_path, mo
         convert(tmp_path / "bot.urdf", output)
     assert (output.read_bytes(), meshes.read_bytes()) == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bot.urdf", "out.xml", "out_meshes", "part.obj"]
-
-
-@pytest.mark.parametrize("text", ["<!DOCTYPE html>\n<html>", "\n<!-- saved --><HTML lang='en'><br>", "<html></html>"])
-def test_a_web_page_is_named(text, tmp_path):
-    assert "bot.urdf' is a web page (HTML), not the file itself" in refused(tmp_path, text)
 
 
 @pytest.mark.parametrize(

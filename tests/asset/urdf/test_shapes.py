@@ -9,7 +9,7 @@ import pytest
 
 from wheelleg_exp.asset import convert, source_digest
 
-from ..small_urdf import assumed, at_zero, inertial, left, link, made, write
+from ..small_urdf import at_zero, left, link, made, write
 from ..small_usd import warned
 
 # The tetrahedron with the corners 0, x, y, z has the volume 1/6, and its faces point outwards.
@@ -216,17 +216,12 @@ def test_an_unreadable_mesh_is_left_out_and_a_lost_collider_is_a_warning(tmp_pat
         "package://my_robot/meshes/part.obj",
         "$(find my_robot)/meshes/part.obj",
         "$(find-pkg-share my_robot)/meshes/part.obj",
-        "file://$(find my_robot)/meshes/part.obj",
         "model://my_robot/meshes/part.obj",
         "../meshes/part.obj",
-        "..\\meshes\\part.obj",
         "meshes/part.obj",
         "package://another_name/meshes/part.obj",
-        "{folder}/my_robot/meshes/part.obj",
         "file://{folder}/my_robot/meshes/part.obj",
         "file:///home/someone/ws/install/share/my_robot/meshes/part.obj",
-        "file:///home/someone/ws/install/my_robot/share/my_robot/meshes/part.obj",
-        "file:///opt/ros/share/another_name/meshes/part.obj",
         "file:///home/someone/src/my_robot/meshes/part.obj",
         "file:///home/some%20one/share/my_robot/me%73hes/part.obj",
         "/home/someone/ws/install/share/my_robot/meshes/part.obj",
@@ -286,9 +281,3 @@ def test_a_mesh_that_git_lfs_has_not_fetched_is_reported(tmp_path):
     (tmp_path / "part.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     _, conversion = made(tmp_path, link("a", mesh("part.stl", "collision")))
     assert "git lfs pull" in warned(conversion)[0]
-
-
-def test_a_link_whose_collider_is_missing_weighs_what_is_written(tmp_path):
-    model, conversion = made(tmp_path, link("a", mesh("gone.stl", "collision"), inertial(2)))
-    assert model.body("a").mass[0] == 2
-    assert assumed(conversion, "a sphere of 0.1 m")

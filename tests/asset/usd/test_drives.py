@@ -90,13 +90,6 @@ def test_a_joint_without_real_limits_is_unlimited(tmp_path, kind, ends):
     assert locks is (ends in {("0", "0"), ("0.3", "0.3")})
 
 
-def test_a_slide_may_be_limited_on_one_side(tmp_path):
-    model, _ = two_links(tmp_path, "float physics:lowerLimit = -0.5", kind="Prismatic")
-    assert model.jnt_limited[1]
-    assert model.jnt_range[1][0] == pytest.approx(-0.5)
-    assert model.jnt_range[1][1] > 1e3
-
-
 @pytest.mark.parametrize("kind", ["Revolute", "Prismatic"])
 def test_limits_the_wrong_way_round_lock_the_joint_as_in_physx(tmp_path, kind):
     model, done = two_links(tmp_path, limits(30, -30), kind=kind)
@@ -215,12 +208,6 @@ def test_a_ball_reads_its_three_axes(tmp_path):
     np.testing.assert_allclose(model.dof_armature[6:], 3)
     assert done.report.velocity_limits["j"] == pytest.approx(math.pi, rel=1e-6)
     assert sum("differs between the axes of a ball, 3" in warning for warning in done.report.warnings) == 2
-
-
-def test_equal_values_of_two_schemas_are_both_read(tmp_path):
-    text = "float physxJoint:armature = 0.25\n float physxJointAxis:angular:armature = 0.25"
-    _, done = two_links(tmp_path, text)
-    assert {"physxJoint:armature", "physxJointAxis:angular:armature"} <= {item.name for item in done.report.mapped}
 
 
 def test_static_friction_is_used_if_no_dynamic_friction_is_given(tmp_path):

@@ -87,14 +87,6 @@ QUIET = MASS + "\n        bool physxArticulation:enabledSelfCollisions = 0\n"
 ROOT = "PhysicsArticulationRootAPI PhysxArticulationAPI"
 
 
-def test_bits_leave_a_robot_without_self_collision_on_the_ground(tmp_path):
-    body = link("a", mass=QUIET, apis=ROOT, inside=cube("low") + cube("high")) + link("b", inside=cube())
-    body += link("c", inside=cube()) + hinge("ab", "a", "b") + hinge("bc", "b", "c") + GROUND
-    groups = group("one", "</bot/a/low>", "</two>") + group("two", "</bot/ground>")
-    model, _ = converted(write(tmp_path, body, outside=groups))
-    assert touching(model) == pairs("a_high+world_ground", "b_cube+world_ground", "c_cube+world_ground")
-
-
 TOUCHING = pairs("a_low+b_cube", "a_high+b_cube", "a_low+world_ground", "a_high+world_ground", "b_cube+world_ground")
 
 
@@ -124,13 +116,6 @@ def test_filtered_pairs_of_a_prim_above_bodies_apply_to_all_of_these_bodies(tmp_
     assert touching(model) == ALL - pairs("a_cube+c_cube", "b_cube+c_cube")
 
 
-def test_filtered_pairs_of_a_body_do_not_go_for_bodies_nested_below_it(tmp_path):
-    filtered = MASS + "\n rel physics:filteredPairs = </bot/c>"
-    outer = link("a", mass=filtered, apis="PhysicsFilteredPairsAPI", inside=cube() + link("b", inside=cube()))
-    model, _ = converted(write(tmp_path, outer + link("c", inside=cube()) + GROUND))
-    assert touching(model) == ALL - pairs("a_cube+c_cube")
-
-
 @pytest.mark.parametrize("allowed", ["0", "1"])
 def test_inside_an_articulation_joined_bodies_never_touch(tmp_path, allowed):
     root = link("a", apis="PhysicsArticulationRootAPI", inside=cube())
@@ -152,9 +137,3 @@ def test_self_collision_that_is_off_goes_for_its_own_articulation_alone(tmp_path
     cubes = [f"{name}_cube" for name in "aczxl"]
     everything = {frozenset(pair) for pair in itertools.combinations([*cubes, "world_ground"], 2)}
     assert touching(model) == everything - pairs("a_cube+c_cube")
-
-
-def test_two_quiet_articulations_touch_each_other(tmp_path):
-    body = articulation("a", "b", "c", quiet=True) + articulation("x", "y", "z", quiet=True)
-    model, _ = converted(write(tmp_path, body))
-    assert touching(model) == pairs("a_cube+x_cube", "a_cube+z_cube", "c_cube+x_cube", "c_cube+z_cube")

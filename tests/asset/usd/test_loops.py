@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from ..small_usd import converted, hinge, link, locked, write
+from ..small_usd import converted, hinge, link, write
 
 SQUARE = link("a", apis="PhysicsArticulationRootAPI") + link("b", "(1, 0, 0)")
 SQUARE += link("c", "(0, 1, 0)") + link("d", "(1, 1, 0)")
@@ -91,13 +91,6 @@ def test_a_slide_is_lost_with_a_warning_when_every_other_joint_is_driven(tmp_pat
     assert "PhysicsPrismaticJoint" in {item.name for item in done.report.left_out}
 
 
-def test_a_generic_joint_of_two_hinges_is_traded_too(tmp_path):
-    generic = at("cd", "c", "d", "(1, 0, 0)", kind="", text=locked("transX", "transY", "transZ", "rotX"))
-    model, _ = converted(write(tmp_path, square(generic)))
-    assert {"cd_rotY", "cd_rotZ"} <= {model.joint(i).name for i in range(model.njnt)}
-    np.testing.assert_allclose(violation(model), 0, atol=1e-9)
-
-
 def test_limits_and_drives_of_a_closing_joint_are_named(tmp_path):
     text = "bool physics:excludeFromArticulation = 1\n float physics:lowerLimit = -10\n float physics:upperLimit = 10\n"
     text += "float drive:angular:physics:stiffness = 3"
@@ -106,13 +99,6 @@ def test_limits_and_drives_of_a_closing_joint_are_named(tmp_path):
     left = {item.name for item in done.report.left_out if "/bot/cd" in item.values}
     assert {"physics:lowerLimit", "physics:upperLimit", "drive:angular:physics:stiffness"} <= left
     assert any("/bot/cd" in warning and "drive" in warning for warning in done.report.warnings)
-
-
-def test_two_joints_between_the_same_bodies_close_a_loop(tmp_path):
-    body = link("a") + link("b", "(1, 0, 0)") + at("one", "a", "b", "(1, 0, 0)") + at("two", "a", "b", "(1, 0, 0)")
-    model, done = converted(write(tmp_path, body))
-    assert (model.nv, model.neq) == (7, 2)
-    assert any("/bot/two" in warning for warning in done.report.warnings)
 
 
 def test_a_robot_with_loops_is_not_torn_apart_to_get_zero_into_its_limits(tmp_path):

@@ -27,7 +27,7 @@ BODILESS = '#usda 1.0\n(\n defaultPrim = "bot"\n)\ndef Xform "bot" {{\ndef Xform
     ("name", "text", "words"),
     [
         ("robot.stl", "solid robot", "; expected .usd, .usda"),
-        ("robot.usd", "not a stage", "cannot be read"),
+        ("robot.usda", "", "is empty"),
         ("robot.usda", "not a stage", "cannot be read"),
         ("robot.usdc", "not a stage", "cannot be read"),
         ("robot.usd", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "git lfs pull"),

@@ -4,8 +4,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from wheelleg_exp.errors import AssetError
-
 from ..small_usd import converted, hinge, link, write
 
 Trn = mujoco.mjtTrn
@@ -44,15 +42,6 @@ def test_attributes_that_mujoco_refuses_are_left_out_by_name(text, joint, left_o
     assert [item.name for item in refused] == left_out
     assert [text for text in done.report.warnings if f"the attribute {left_out[0]} = " in text]
     assert not [item for item in done.report.mapped if item.became in left_out]
-
-
-def test_a_model_that_mujoco_refuses_for_another_reason_stays_an_error(tmp_path, monkeypatch):
-    def refuse(*_: object) -> None:
-        raise AssetError("MuJoCo cannot build a model of 'bot.usda': no")
-
-    monkeypatch.setattr("wheelleg_exp.asset.convert_robot.load", refuse)
-    with pytest.raises(AssetError, match=r"'bot\.usda': no"):
-        pair(tmp_path, "uniform int mjc:group = 3")
 
 
 def test_parameters_and_ranges_are_those_of_the_file(tmp_path):

@@ -11,7 +11,7 @@ from pxr import Usd, UsdPhysics
 
 from wheelleg_exp.asset.usd.usd_robot import read_usd
 
-from ..small_usd import MASS, applied, converted, hinge, link, write
+from ..small_usd import MASS, converted, hinge, link, write
 
 AHEAD = "point3f physics:localPos0 = (1, 0, 0)"
 MARK = "PhysicsArticulationRootAPI"
@@ -142,14 +142,6 @@ def test_a_generic_joint_without_limits_holds_the_base_of_an_articulation(tmp_pa
     assert any("generic joint without limits" in item.rule for item in done.report.assumptions)
 
 
-def test_several_articulations_have_a_root_each(tmp_path):
-    parts = link("base") + link("arm") + hinge("j", "base", "arm")
-    head = f'def Xform "{{0}}" {applied(MARK)}\n{{{{\n'
-    robots = "".join(head.format(name) + parts.replace("/bot/", f"/bot/{name}/") + "}\n" for name in ("one", "two"))
-    model, _ = converted(write(tmp_path, robots))
-    assert (roots(model), model.nv) == ({"one_arm", "two_arm"}, 2 * 7)
-
-
 def test_an_instanced_articulation_is_read_through_its_proxies(tmp_path):
     inside = link("base") + link("arm", "(1, 0, 0)") + hinge("j", "base", "arm", text=AHEAD)
     inside = inside.replace("/bot/", "/proto/")
@@ -227,19 +219,3 @@ def test_the_velocity_of_a_floating_root_is_in_the_keyframe(tmp_path):
     speed = model.key("home").qvel
     np.testing.assert_allclose(speed[:3], [1, -3, 2], atol=1e-6)  # y up
     np.testing.assert_allclose(speed[3:], [0, 0, -np.pi / 2], atol=1e-6)  # rotated by 90° about x
-
-
-def test_a_joint_that_holds_a_kinematic_body_moves_nothing_and_is_named(tmp_path):
-    kinematic = link("a", mass=MASS + "\n bool physics:kinematicEnabled = 1")
-    to_world = pin("", "rel physics:body1 = </bot/a>", kind="Revolute").replace('"pin"', '"hold"')
-    model, done = converted(write(tmp_path, kinematic + link("b") + to_world + hinge("j", "a", "b")))
-    assert (model.body("a").mocapid[0], model.nv) == (0, 1)
-    assert any("/bot/hold" in item.values for item in done.report.left_out)
-    assert any("/bot/hold" in warning for warning in done.report.warnings)
-
-
-def test_a_base_set_free_is_still_the_root(tmp_path):
-    chain = link("a") + link("b") + link("c") + hinge("ab", "a", "b") + hinge("bc", "b", "c")
-    pinned = chain + pin("", "rel physics:body1 = </bot/a>", apis=MARK)
-    model, _ = converted(write(tmp_path, pinned, root_apis=MARK), base="floating")
-    assert (model.body(1).name, model.jnt_type[0]) == ("a", int(mujoco.mjtJoint.mjJNT_FREE))
