@@ -9,7 +9,6 @@ import subprocess
 import sys
 import termios
 import time
-from pathlib import Path
 
 import pytest
 from patience import PATIENCE_S
@@ -29,10 +28,7 @@ OFFERED = {
     "wheelleg compose --package env.sim.s": ["env.sim.solver"],
     "wheelleg train tas": ["task=", "task."],
     "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=late", "robot=motor", "robot=physical"],
-    "wheelleg train robot=e": ["robot=explicit"],
     "wheelleg train pipeline=": ["pipeline=stand_to_terrain"],
-    "wheelleg train rew": ["reward@env.rewards="],
-    "wheelleg train +rew": ["+reward@env.rewards="],
     "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
     "wheelleg train reward@env.rewards=[alive,a": [
         "reward@env.rewards=[alive,action_acceleration",
@@ -40,7 +36,6 @@ OFFERED = {
     ],
     "wheelleg train env.rewards.al": ["env.rewards.alive."],
     "wheelleg train env.rewards.alive.": ["env.rewards.alive._target_=", "env.rewards.alive.weight="],
-    "wheelleg train env.decimation=": ["env.decimation=2"],
     "wheelleg train env.robot.base=f": ["env.robot.base=floating", "env.robot.base=fixed"],
     "wheelleg train recording.enabled=": ["recording.enabled=true", "recording.enabled=false"],
     "wheelleg train env.rewards.alive=": ["env.rewards.alive=null"],
@@ -48,15 +43,11 @@ OFFERED = {
     "wheelleg train 'env.decim": ["env.decimation="],
     "wheelleg train termination@env.terminations=[time_out] env.terminations.": ["env.terminations.time_out."],
     "wheelleg explain env.sim.d": ["env.sim.device", "env.sim.dt", "env.sim.deterministic"],
-    "wheelleg explain robo": ["robot"],
     "wheelleg list r": ["runs"],
-    "wheelleg list p": ["pipelines"],
     "wheelleg explain pipeline.phases.st": ["pipeline.phases.stand", "pipeline.phases.stand."],
     "wheelleg list options ro": ["robot"],
     "wheelleg play lat": ["latest"],
     "wheelleg diff sta": ["stand"],
-    "wheelleg diff stand sta": ["stand"],
-    "wheelleg completion b": ["bash"],
     "wheelleg nothing ": [],
     "wheelleg train robot=nothing": [],
 }  # fmt: skip
@@ -109,37 +100,6 @@ def test_a_broken_config_completes_nothing_and_prints_no_error(tmp_path, capsys)
     (tmp_path / "task" / "bad.yaml").write_text("a: [\n")
     assert completion.answer(f"wheelleg train --config-dir {tmp_path} task=bad env.decim") == ["env.decimation="]
     assert capsys.readouterr().err == ""
-
-
-def _bash(line: str, tmp_path: Path) -> list[str]:
-    program = tmp_path / "wheelleg"
-    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m wheelleg_exp "$@"\n')
-    program.chmod(0o755)
-    script = f"""
-    eval "$(wheelleg completion bash)"
-    COMP_LINE={line!r}; COMP_POINT=${{#COMP_LINE}}
-    _wheelleg_complete wheelleg
-    printf '%s\\n' "${{COMPREPLY[@]}}"
-    complete -p wheelleg
-    """
-    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "LC_ALL": "C"}
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True, env=environment)
-    assert done.stderr == ""
-    *found, registered = done.stdout.splitlines()
-    assert registered == "complete -o nospace -F _wheelleg_complete wheelleg"
-    return found
-
-
-@pytest.mark.parametrize(
-    ("line", "wanted"),
-    [
-        # bash splits words at = and @, and completes only the part after the last = or @.
-        ("wheelleg train reward@env.rew", ["env.rewards="]),
-        ("wheelleg train env.robot.base=", ["auto ", "floating ", "fixed "]),
-    ],
-)
-def test_bash_gets_the_part_after_the_last_break_and_a_space_when_complete(line, wanted, tmp_path):
-    assert _bash(line, tmp_path) == wanted
 
 
 def test_an_interactive_bash_completes_on_tab(tmp_path):

@@ -7,7 +7,6 @@ from env.composed import composed
 from lint.patients import HEALTHY, seeded
 from PIL import Image
 
-from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.project.create import create
 
@@ -109,13 +108,6 @@ def test_robots_that_are_known_to_work_raise_no_alarm(file, request, monkeypatch
     for name in ("wf_tron1a_isaac/WF_TRON1A.usd", "wf_tron2a_isaac/robot.usd", "wf_tron2a_urdf/bipedal_robot.usda",
                  "upkie/upkie.usda"):  # fmt: skip
         assert main(["doctor", str(folder / "assets" / name)]) == 0, capsys.readouterr().out
-
-
-def test_files_and_overrides_are_completed(file, monkeypatch, tmp_path):
-    file(HEALTHY)
-    monkeypatch.chdir(tmp_path)
-    assert "robot.xml" in answer("wheelleg doctor rob")
-    assert "task=stand" in answer("wheelleg doctor task=st")
 
 
 @pytest.mark.pictures

@@ -16,7 +16,6 @@ from project.robots import urdf
 from refused import refusal
 
 from wheelleg_exp import packages as projects
-from wheelleg_exp.cli.completion import answer
 from wheelleg_exp.project import create
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_folders")]
@@ -182,12 +181,6 @@ def test_a_failure_or_interrupt_leaves_nothing(tmp_path, monkeypatch, patched, e
     assert said.status == status
     assert message in said.err
     assert not list(tmp_path.iterdir())
-
-
-def test_a_tab_offers_folders_and_robot_files(tmp_path):
-    urdf(tmp_path)
-    (tmp_path / "robots").mkdir()
-    assert (answer("wheelleg new ro"), answer("wheelleg new myrobot --robot t")) == (["robots/"], ["two.urdf"])
 
 
 def test_no_project_is_created_inside_the_program_itself(monkeypatch):

@@ -1,11 +1,8 @@
 import json
-from datetime import datetime
 from pathlib import Path
 
 import pytest
 from jobs.small import ITERATIONS, SMALL, wheelleg
-
-from wheelleg_exp.run import run_directory
 
 pytestmark = [pytest.mark.train, pytest.mark.usefixtures("own_folders")]
 
@@ -42,20 +39,3 @@ def test_json_is_one_document_and_the_run_is_below_the_working_folder_by_default
     assert Path(document["run"]) == run
     assert (run / "manifest.json").is_file()
     assert not list(run.rglob("*.rrd"))
-
-
-def test_a_taken_name_is_never_shared(tmp_path, monkeypatch):
-    class Frozen(datetime):
-        @classmethod
-        def now(cls, tz=None):
-            return datetime(2030, 1, 2, 3, 4, 5, tzinfo=tz)
-
-    monkeypatch.setattr(run_directory, "datetime", Frozen)
-    words = [*SMALL, "agent.max_iterations=1", "recording.enabled=false", f"run.root={tmp_path}"]
-    taken = tmp_path / "stand" / "2030-01-02_03-04-05_0"
-    taken.mkdir(parents=True)
-    said = wheelleg("train", *words)
-    assert said.status == 0, said.err
-    assert "recording.rrd" not in said.out  # The run has no recording to open.
-    assert sorted(path.name for path in taken.parent.iterdir()) == [taken.name, f"{taken.name}-2"]
-    assert list(taken.iterdir()) == []

@@ -3,8 +3,7 @@ import re
 import pytest
 
 from wheelleg_exp.cli.main import COMMANDS, main
-from wheelleg_exp.cli.printing import terminal as tables
-from wheelleg_exp.cli.printing.terminal import hanging, print_blocks, print_table, wrapped
+from wheelleg_exp.cli.printing.terminal import print_blocks, print_table
 
 COMMANDS_THAT_LIST = (
     *(["list", kind] for kind in ("tasks", "terms", "options", "groups")),
@@ -74,21 +73,3 @@ def test_rows_that_cannot_be_a_table_are_blocks_with_a_line_for_each_cell(capsys
     assert lines[-1] == "    hint  z"
     print_blocks(("", "b", "cc"), [("name", "1", "2")])
     assert capsys.readouterr().out == "name\n    b   1\n    cc  2\n"
-
-
-@pytest.mark.parametrize("width", [20, 33, 72])
-def test_wrapping_preserves_words_and_indent(width):
-    text = f"  {LONG}/a/long/path/that/is/longer/than/the/width/of/all.these_lines and the end"
-    lines = wrapped(text, width)
-    assert all(len(line) <= width for line in lines)
-    assert lines[0].startswith("  one")
-    assert "".join("".join(lines).split()) == "".join(text.split())
-    assert wrapped("a " + "b" * 50, 20) == ["a", "b" * 50]  # A word without a place to break is not broken.
-
-
-def test_a_hanging_text_is_to_the_right_of_its_label():
-    first, *rest = hanging(LONG, 10, "  label").split("\n")
-    assert first.startswith("  label   one")
-    assert rest
-    assert all(re.match(" {10}[ot]", line) for line in rest)
-    assert tables.screen_width() == 100

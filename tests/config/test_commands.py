@@ -39,21 +39,6 @@ def test_an_unknown_word_is_reported_with_the_nearest(words, nearest, capsys):
     assert f"did you mean '{nearest}'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        ("list tasks --config-dir mine/configs", "hop"),
-        ("list tasks --config-dir mine/configs", "Stand still."),
-        ("list terms reward", "One while the robot is up."),
-        ("list groups", "\nreward\n"),
-        ("list options robot", "physical"),
-    ],
-)
-def test_lists_contain_tasks_terms_groups_and_options(words, text, capsys, user):
-    assert main(words.split()) == 0
-    assert text in capsys.readouterr().out
-
-
 def test_list_terms_contains_unused_terms_but_no_helpers_and_base_classes(capsys):
     assert main(["list", "terms", "--json"]) == 0
     rows = {(row["group"], row["term"]): row for row in json.loads(capsys.readouterr().out)}
@@ -84,18 +69,6 @@ def test_list_runs_of_a_missing_folder_is_refused(capsys, tmp_path):
     message = capsys.readouterr().err
     assert "--root" in message
     assert f"did you mean '{tmp_path / 'runs'}'" in message
-
-
-def test_a_damaged_run_without_a_date_has_a_dash(capsys, tmp_path):
-    folder = tmp_path / "runs" / "stand" / "nameless"
-    folder.mkdir(parents=True)
-    (folder / "manifest.json").write_text("{")
-    assert main(["list", "runs"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split() == ["nameless", "stand", "damaged", *"-" * (len(lines[0].split()) - 3)]
-    assert lines[2].startswith("nameless: ")
-    assert main(["list", "runs", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)[0]["started"] is None
 
 
 def test_provenance_shows_hidden_and_removed_values_and_resolves(capsys):

@@ -31,10 +31,3 @@ def test_the_comment_at_the_top_of_a_terms_file_belongs_to_the_term(tmp_path):
     file = tmp_path / "alive.yaml"
     file.write_text("# Not having failed.\nalive:\n  weight: 1.0\n")
     assert (comment_at(file, 2), file_comment(file)) == ("Not having failed.", "")
-
-
-def test_a_changed_file_is_read_again(tmp_path):
-    file = tmp_path / "a.yaml"
-    for text in ("old", "newer"):
-        file.write_text(f"a: 1   # {text}\n")
-        assert comment_at(file, 1) == text

@@ -6,7 +6,7 @@ import pytest
 
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.explaining.config_diff import Side, compare, same
+from wheelleg_exp.config.explaining.config_diff import Side, compare
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.files import read_json, write_json, write_text
 from wheelleg_exp.jobs.diff_inputs import load_sides
@@ -112,18 +112,6 @@ def test_a_users_task_is_a_side(diff, user):
     found = diff("stand", "hop", [user])
     kinds = {change.path: change.kind for change in found.terms}
     assert kinds == {"env.rewards.height": "removed", "env.rewards.bounce": "added"}
-
-
-@pytest.mark.parametrize(
-    ("a", "b", "equal"),
-    [
-        (1, 1.0, True), (True, 1, False), (0, False, False), ("1", 1, False), (None, 0, False),
-        (float("nan"), float("nan"), True), ([1, 2], (1.0, 2), True), ([1, 2], [2, 1], False),
-        ({"a": 1, "b": 2}, {"b": 2.0, "a": 1}, True), ({"a": 1}, {"a": 1, "b": None}, False), ("ab", ["a", "b"], False),
-    ],
-)  # fmt: skip
-def test_values_that_mean_the_same(a, b, equal):
-    assert same(a, b) is equal
 
 
 def test_two_runs_of_the_same_words_are_equal_and_overrides_may_follow_a_run(diff, make_run):

@@ -24,55 +24,38 @@ pytestmark = pytest.mark.slow
 T, S = "env.observations.policy.terms.", "env.scene.sensors.contact_forces."
 NOISE = "{_target_: wheelleg_exp.mdp.noise."
 MODIFIER = "{_target_: wheelleg_exp.mdp.modifiers."
-ENTITY = "{_target_: wheelleg_exp.managers.SceneEntityCfg, name: robot, "
 TERM = "_target_: wheelleg_exp.mdp."
 
 # The expected value that the error for each override names, and the reported key if it differs from the override's key.
 WRONG: dict[str, str | tuple[str, str]] = {
     # the environment
     "env.num_envs=0": "a whole number, at least 1",
-    "env.num_envs=2.5": "a whole number, at least 1",
-    "env.decimation=0": "at least 1",
     "env.episode_length_s=0": "more than 0",
     "env.episode_length_s=inf": "a finite number",
-    "seed=-1": "at least 0",
     "seed=9223372036854775808": f"at most {2**63 - 1}",
     "env.sim.dt=0": "more than 0",
-    "env.sim.dt=-0.01": "more than 0",
     "env.sim.gravity=[0,0]": "3 finite numbers",
-    "env.sim.gravity=[0,0,nan]": "finite",
     "env.sim.iterations=0": "at least 1",
-    "env.sim.tolerance=-1": "at least 0",
-    "env.sim.impratio=0": "more than 0",
     "env.sim.nthread=-2": "at least 0",
-    "env.scene.env_spacing=-1": "at least 0",
     "env.scene.terrain.static_friction=-0.1": "at least 0",
     "env.scene.terrain.restitution=1.5": "at most 1",
     f"{S}history_length=-1": "at least 0",
-    f"{S}force_threshold=-1": "at least 0",
-    f"{S}max_contacts=0": "at least 1",
     f"{S}body_names=[]": "not empty",
     "+env.scene.sensors.other={name: x}": "a mapping with a _target_",
     # the robot
     "env.robot.init_state.rot=[0,0,0,0]": "not all zero",
     "env.robot.init_state.pos=[0,0,inf]": "finite",
-    "env.robot.soft_joint_pos_limit_factor=1.5": "at most 1",
     "env.robot.actuators.legs.stiffness=-3": "at least 0",
     "env.robot.actuators.legs.effort_limit=0": "more than 0",
-    "env.robot.actuators.wheels.velocity_limit=-5": "more than 0",
-    "env.robot.actuators.wheels.armature=-0.1": "at least 0",
     # commands and actions
     "env.commands.base_velocity.resampling_time_range=[0,0]": "more than 0",
     "env.commands.base_velocity.rel_standing_envs=2": "at most 1",
-    "env.commands.base_velocity.rel_heading_envs=-0.1": "at least 0",
     "env.commands.base_velocity.ranges.lin_vel_x=[1,-1]": "[low, high]",
     "+env.commands.base_velocity.ranges.lin_vel_w=[0,1]": "one of lin_vel_x",
-    "+env.commands.base_velocity.heading_control_stiffness=-1": "at least 0",
     "env.actions.leg_pos.scale=inf": "a finite number",
     "env.actions.wheel_vel.joint_names=[]": "not empty",
     # observations
     f"+{T}base_ang_vel.history_length=-1": "at least 0",
-    "env.observations.policy.history_length=-1": "at least 0",
     f"{T}base_ang_vel.scale=nan": "a finite number",
     f"+{T}base_ang_vel.clip=[2,1]": "[low, high]",
     f"+{T}base_ang_vel.noise={NOISE}GaussianNoise, std: -1}}": ("at least 0", f"{T}base_ang_vel.noise.std"),
@@ -88,58 +71,36 @@ WRONG: dict[str, str | tuple[str, str]] = {
         "[low, high]", f"{T}velocity_commands.modifiers[0].bounds"),
     # events
     "env.events.push_robot.interval_range_s=[-1,1]": "at least 0",
-    "env.events.push_robot.velocity_range.x=[1,-1]": "[low, high]",
     "+env.events.push_robot.velocity_range.rol=[0,1]": "did you mean 'roll'",
     "+env.events.reset_base.min_step_count_between_reset=-1": "at least 0",
     "env.events.reset_base.pose_range.roll=[0,inf]": "finite",
-    "env.events.reset_robot_joints.position_range=[2,1]": "[low, high]",
     "env.events.physics_material.num_buckets=0": "at least 1",
     "env.events.physics_material.static_friction_range=[-1,1]": "at least 0",
-    "env.events.physics_material.restitution_range=[0,2]": "at most 1",
-    "+env.events.add_base_mass.min_mass=0": "more than 0",
-    "env.events.base_external_force_torque.force_range=[1,-1]": "[low, high]",
     # rewards, terminations, curriculum
     "env.rewards.alive.weight=inf": "a finite number",
-    "env.rewards.lin_vel_z.weight=nan": "a finite number",
     "env.rewards.track_ang_vel_z.std=0": "more than 0",
-    "env.rewards.wheel_air.threshold=-1": "at least 0",
-    "env.rewards.base_height.target_height=nan": "a finite number",
     "env.rewards.leg_joint_deviation.asset_cfg.joint_names=[]": "not empty",
     f"+env.terminations.tilted={{{TERM}terminations.bad_orientation, limit_angle: 4}}": (
         "at most 3.14159", "env.terminations.tilted.limit_angle"),
-    f"+env.terminations.fast={{{TERM}terminations.joint_vel_out_of_manual_limit, max_velocity: 0}}": (
-        "more than 0", "env.terminations.fast.max_velocity"),
-    f"+env.rewards.fast={{{TERM}rewards.joint_vel_limits, weight: 1, soft_ratio: 0}}": (
-        "more than 0", "env.rewards.fast.soft_ratio"),
     f"+env.rewards.effort={{{TERM}rewards.joint_torques_l2, weight: -1, asset_cfg: {{name: robot}}}}": (
         "_target_: wheelleg_exp.managers.term_interface.SceneEntityCfg", "env.rewards.effort.asset_cfg"),
     "env.curriculum.lin_vel_z_weight.num_steps=-5": "at least 0",
-    "env.curriculum.lin_vel_z_weight.weight=inf": "a finite number",
     # the agent
     "agent.algorithm.gamma=5": "at most 1",
-    "agent.algorithm.lam=-0.1": "at least 0",
     "agent.algorithm.clip_param=0": "more than 0",
-    "agent.algorithm.entropy_coef=-1": "at least 0",
     "agent.algorithm.value_loss_coef=nan": "a finite number",
-    "agent.algorithm.learning_rate=0": "more than 0",
-    "agent.algorithm.max_grad_norm=0": "more than 0",
     "agent.algorithm.num_mini_batches=0": "at least 1",
-    "agent.algorithm.num_learning_epochs=-1": "at least 1",
-    "agent.algorithm.desired_kl=0": "more than 0",
     "agent.algorithm.schedule=fxied": "did you mean 'fixed'",
     "agent.actor.hidden_dims=[]": "not empty",
     "agent.critic.hidden_dims=[64,0]": "at least 1",
     "agent.actor.distribution_cfg.init_std=0": "more than 0",
     "+agent.actor.distribution_cfg.std_range=[1,1]": "low below high",
     "agent.save_interval=0": "at least 1",
-    "agent.max_non_finite=-1": "at least 0",
-    "agent.max_iterations=0": "at least 1",
     "agent.num_steps_per_env=0": "at least 1",
-    "agent.torch_threads=0": "at least 1",
     "+agent.clip_actions=-1": "more than 0",
     # the recording and the run directory
     "recording.interval=0": "at least 1",
-    "recording.max_mb=-1": "at least 0",
+    "recording.enabled=perhaps": "true or false",
     "+run.max_patch_mb=nan": "a finite number",
 }  # fmt: skip
 # These values contradict other settings, so each command line has only two of the overrides.

@@ -23,8 +23,6 @@ def _task(folder: Path, name: str, text: str) -> None:
     [
         ("event@env.events=[push_robot,reset_base,push_robot]", "env.events.push_robot"),
         ("+reward@env.rewards=alive", "env.rewards.alive"),
-        ("action@env.actions=[leg_pos,leg_pos]", "env.actions.leg_pos"),
-        ("termination@env.terminations=[time_out,time_out]", "env.terminations.time_out"),
         ("observation@env.observations.policy.terms=[last_action,base_ang_vel,base_ang_vel]",
          "env.observations.policy.terms.base_ang_vel"),
     ],

@@ -57,12 +57,6 @@ def test_a_replaced_task_has_its_own_defaults_list_and_package(tmp_path):
     assert config["env"]["robot"]["asset"] == "real.usda"
 
 
-def test_a_replaced_file_is_replaced_for_the_tasks_that_extend_it_too(tmp_path):
-    text = "# @package env.robot\n# @replaces robot/article\nasset: new.usda\n"
-    mine = folder(tmp_path, **{"robot/article.yaml": text})
-    assert compose(["task=walk"], config_dirs=[mine]).config["env"]["robot"] == {"asset": "new.usda"}
-
-
 def test_a_primary_config_can_be_replaced(tmp_path):
     stock = small_tree.STOCK["train.yaml"].replace("seed: 1", "seed: 5")
     mine = folder(tmp_path, **{"train.yaml": "# @replaces train\n" + textwrap.dedent(stock).lstrip()})

@@ -76,13 +76,6 @@ def test_the_dataclass_of_a_section_exists_and_describes_the_stock_section():
     assert schema.root_of(protocol).__name__ == "EvaluateRoot"
 
 
-def test_an_explicit_null_with_a_comment_is_not_a_missing_value(tmp_path):
-    text = "# @package _global_\ndefaults: [stand, _self_]\ntask: {name: mine}\nenv:\n  events: null   # none, see:\n"
-    (tmp_path / "task").mkdir()
-    (tmp_path / "task" / "mine.yaml").write_text(text)
-    assert check(compose(["task=mine"], config_dirs=[tmp_path])) == []
-
-
 def test_the_articles_task_has_the_articles_numbers():
     """The numbers were typed from the article, not from the config files."""
     from wheelleg_exp.cli.configs.compose import shapes

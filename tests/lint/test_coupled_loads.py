@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from lint.cases import found
 from lint.patients import patient
 
 HIP, THIGH, SHANK, HEIGHT, AHEAD, RADIUS = 0.06, 0.15, 0.2, 0.25, 0.03, 0.07
@@ -101,11 +100,3 @@ def test_a_drive_accelerates_the_coupled_joints_too(tmp_path, kind, drives):
             data.qfrc_applied[dof] = 1.0
             mujoco.mj_forward(machine, data)
             assert inertia == pytest.approx(1 / data.qacc[dof], rel=2e-3), name
-
-
-@pytest.mark.parametrize(("kind", "drives"), [CASES[0], CASES[2]])
-def test_weak_drives_of_coupled_joints_are_found(tmp_path, kind, drives):
-    load = max(abs(j.hold) for j in patient(tmp_path, robot(kind, drives)).facts.joints.values())
-    for share, count in ((1.2, 0), (0.8, 1)):
-        gains = dict.fromkeys(drives, share * load / 0.1)
-        assert len(found("effort_against_load", patient(tmp_path, robot(kind, gains)))) == count

@@ -362,19 +362,6 @@ def read_urdf(folder, inertial=GIVEN, shape=BOX, low=-1, effort=1):
     return case_of(file)
 
 
-def test_missing_files_are_the_first_finding_of_a_robot_without_colliders(tmp_path):
-    lost = '<mesh filename="gone.stl"/>'
-    read_urdf(tmp_path, shape=lost)
-    file = tmp_path / "robot.urdf"
-    file.write_text(file.read_text().replace('<box size="0.2 0.2 0.2"/>', lost))
-    assert [finding.rule for finding in all_findings(case_of(file))][:2] == ["missing_files", "no_colliders"]
-
-
-def test_directions_are_rounded(tmp_path):
-    case = patient(tmp_path, HEALTHY.replace('_axle" axis="0 1 0"', '_axle" axis="0.00000735 1 0"'))
-    assert notes_on(case)[0] == "2 wheels; forwards is (1, 0, 0) in the base 'trunk'"
-
-
 def test_missing_meshes_masses_and_limits_of_a_file_are_found(tmp_path):
     whole = read_urdf(tmp_path)
     for rule in ("missing_files", "assumed_masses", "lost_in_conversion"):

@@ -1,5 +1,4 @@
 import errno
-import hashlib
 import json
 import os
 import resource
@@ -88,14 +87,11 @@ BROKEN_JSON = {
 BROKEN_YAML = {
     "nested without end": b"[" * 100_000,
     "mappings without end": b"{a: " * 100_000,
-    "lists without end": b"- " * 100_000,
     "a number of thousands of digits": b"a: " + b"9" * 5000,
     "a key twice": b"a: 1\na: 2\n",
     "a key that is none": b"? []\n: 1\n",
     "no text": b"a: \xff\xfe\xfa",
-    "no number": b"a: !!int ''",
     "no truth": b"a: !!bool x",
-    "no day": b"a: 2001-99-99",
     "a call": b"a: !!python/object/apply:os.getcwd []",
     "a reference to itself": b"a: &x [*x]",
     "what grows without bound": b"a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n",
@@ -117,14 +113,6 @@ def test_broken_text_is_reported_with_its_line(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(RunDirectoryError, match=rf"broken {name[2:].upper()}.*{name}:3"):
         (files.read_json if name == "x.json" else files.read_yaml)(tmp_path / name)
-
-
-def test_sha256_is_that_of_the_content(tmp_path):
-    # The first digest is from FIPS 180-2, appendix B.1.
-    expected = {b"abc": "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"}
-    for content, digest in (expected | {bytes(3_000_000): hashlib.sha256(bytes(3_000_000)).hexdigest()}).items():
-        (tmp_path / "x").write_bytes(content)
-        assert files.sha256(tmp_path / "x") == digest
 
 
 def test_a_file_above_the_size_limit_is_refused_without_being_read(tmp_path):

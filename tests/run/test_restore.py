@@ -110,15 +110,6 @@ def test_this_users_settings_change_no_byte(repository, git, tmp_path, monkeypat
     assert not (tmp_path / "again" / ".git" / "hooks").exists()
 
 
-def test_the_restored_tree_is_recorded_as_the_same_tree(repository, git, tmp_path):
-    (repository / "package" / "code.py").write_text("x = 2\n")
-    (repository / "new.bin").write_bytes(bytes(range(200, 256)))
-    first = snapshot(repository, tmp_path / "run")
-    restore_source(tmp_path / "run", tmp_path / "again")
-    second = snapshot(tmp_path / "again", tmp_path / "second")
-    assert [key for key in ("commit", "tree", "patch_sha256") if first[key] != second[key]] == []
-
-
 ESCAPES = {
     "above": new_file("../evil"),
     "absolute": new_file("/tmp/wheelleg_evil"),

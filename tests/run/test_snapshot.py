@@ -125,14 +125,6 @@ def test_a_variable_that_changes_numbers_or_that_the_config_requests_shows(tmp_p
     assert snapshot_of(tmp_path, hydra_files=files)["config_variables"] == {}
 
 
-def test_another_version_and_another_processor_show(tmp_path, monkeypatch):
-    before = snapshot_of(tmp_path)
-    versions, hardware = before["versions"], before["hardware"]
-    monkeypatch.setattr("wheelleg_exp.run.environment.versions", lambda: {**versions, "mujoco": "9"})
-    monkeypatch.setattr("wheelleg_exp.run.environment.hardware", lambda: {**hardware, "cpu": "another"})
-    assert {"versions", "hardware"} <= changed(before, snapshot_of(tmp_path))
-
-
 def test_a_config_that_cannot_be_resolved_here_is_stored_as_written(tmp_path):
     snapshot_of(tmp_path, hydra_files={"config.yaml": (written := "a: '${oc.env:NOWHERE_SET}'\n")})
     (kept,) = tmp_path.rglob(".hydra/config.yaml")
