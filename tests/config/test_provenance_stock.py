@@ -30,6 +30,7 @@ RECIPES = {
     ],
     "keys with dots, interpolations, and new terms": [
         "++env.robot.init_state.joint_pos={left.04: 0.5}", "env.decimation=${seed}", "seed=${env.sim.nthread}",
+        "+env.rewards.empty={}", "++env.rewards.lin_vel_z={}",
         "+env.rewards.mine={_target_: wheelleg_exp.mdp.rewards.is_alive, weight: 2}",
         "+reward@env.rewards=[action_rate,joint_torques]",
     ],
