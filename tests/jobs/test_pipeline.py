@@ -408,3 +408,18 @@ def test_pipelines_are_listed_those_declared_and_those_begun(whole: PipelineInde
     assert rows["two", "declared"]["help"] == "Two of a kind."
     assert rows["two", "finished"]["phases"] == "first passed, second passed"
     assert rows["two", "finished"]["file"] == str(whole.folder)
+
+
+def test_a_changed_gate_is_checked_against_the_metrics_before_the_record_changes(whole: PipelineIndex):
+    index = PipelineIndex.load(whole.folder)
+    index.data["status"] = "interrupted"
+    index.phases[1]["status"] = "training"
+    before = index.path.read_bytes()
+    with pytest.raises(ConfigError, match="no such metric") as told:
+        resume_pipeline(index, ["pipeline.phases.second.gate.at_least={stand/drft:0.5}"], [])
+    assert told.value.nearest == "stand/drift"
+    for word, why in (("protocol=walk", "the gate sets this itself"), ("seed=abc", "in 'seed=abc'")):
+        with pytest.raises(ConfigError, match=why) as told:
+            resume_pipeline(index, [f"++pipeline.phases.second.gate.overrides=['{word}']"], [])
+        assert told.value.key == "pipeline.phases.second.gate.overrides"
+    assert index.path.read_bytes() == before

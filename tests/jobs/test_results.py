@@ -31,6 +31,7 @@ from wheelleg_exp.paths import TEACHER, configs_dir
 from wheelleg_exp.run.records import ProcessFacts
 from wheelleg_exp.run.records import read_record as read_facts
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.verify import FactDifference
 
 pytestmark = pytest.mark.train
 
@@ -330,3 +331,31 @@ def test_every_page_of_the_docs_shows_its_record_and_marks_verdicts_that_depend_
     # On these pages, all verdicts are clear for all seeds.
     assert bool(zero) == (path.stem not in ("article", "jump", "robust_stand_none", "robust_walk"))
     assert "¹" not in result_page({**record, "runs": record["runs"][:1]}, manifests[:1])
+
+
+@pytest.mark.parametrize(
+    ("words", "iteration", "said"),
+    [
+        (["env.num_envs=8"], 9, "the run it starts with was trained with env.num_envs=8"),
+        ([], 19, "it starts with another checkpoint"),
+    ],
+)
+def test_what_runs_began_with_is_of_one_method_too(run, monkeypatch, words, iteration, said):
+    def begun(iteration: int, *words: str) -> dict[str, Any]:
+        parent = {"overrides": ["task=walk", *words], "begins_with": None, "iteration": None}
+        return {"overrides": ["task=velocity"], "begins_with": parent, "iteration": iteration}
+
+    recipes = iter([begun(9), begun(iteration, *words)])
+    monkeypatch.setattr(records, "recipe", lambda _: next(recipes))
+    with pytest.raises(RunDirectoryError, match=f"was trained differently from {run.id}: {said};"):
+        require_one_method([run, run])
+
+
+def test_the_verdict_states_where_equal_bits_are_promised():
+    cpu = FactDifference("hardware", "cpu", "AMD", "Intel", "another CPU")
+    assert records.Reproduction([], [], False).verdict == "reproduced to the bit"
+    same = records.Reproduction(["a is 1, and was 2"], [], False).verdict
+    assert same == "not reproduced to the bit, with the same source, on the same kind of machine"
+    other = records.Reproduction(["a is 1, and was 2"], [cpu], True).verdict
+    assert "it was made with other source files; where hardware differed (cpu was AMD, is Intel)" in other
+    assert "on the same kind of machine" in other

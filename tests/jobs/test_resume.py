@@ -21,6 +21,7 @@ from tensorboard.backend.event_processing.event_file_loader import EventFileLoad
 from jobs.replays import change_manifest
 from jobs.small import SMALL, lines, manifest, only_run, refused, succeed, wheelleg, without_times
 from wheelleg_exp import packages as projects
+from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import resume_training as resume_changes
 from wheelleg_exp.jobs.train import source_roots as circumstances
@@ -351,6 +352,8 @@ def refuse(run: Path, *words: str) -> str:
         (["agent.max_iteration=9"], "did you mean 'agent.max_iterations'?"),
         (["agent.max_iterations=9", "env.num_envs=8"], "with init_from=RUN, start from this run's networks"),
         (["agent.max_iterations=9", "seed=1"], "seed: cannot change in a resume"),
+        (["agent.max_iterations=9", "env.robot.base=fixed"], "env.robot.base: cannot change"),
+        (["agent.max_iterations=9", "env.sim.dt=0.001"], "env.sim.dt: cannot change"),
         (["agent.max_iterations=9", "agent.actor.hidden_dims=[4]"], "agent.actor.hidden_dims: cannot change"),
         (["agent.max_iterations=9", "~env.rewards.alive"], "the saved state has a place for each term"),
         (["agent.max_iterations=9", "env.observations.policy.history_length=2"], "with this observation"),
@@ -483,3 +486,35 @@ def test_a_project_named_by_config_dir_is_found_again_and_its_term_resumes(proje
     finally:
         projects.forget(moved)
     assert not list(runs[1].glob("events.out.tfevents.*"))
+
+
+def test_a_failed_run_resumes(straight, tmp_path, monkeypatch):
+    write = training_outputs.write_bytes
+
+    def full(path, data):
+        if path.name == "model_2.pt":
+            raise SimulationFailure("cannot write: no space left on device")
+        write(path, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training_outputs, "write_bytes", full)
+        said = wheelleg("train", *FOUR, f"run.root={tmp_path}")
+    run = only_run(tmp_path)
+    assert said.status == 3
+    assert "resume with: " in said.err
+    assert manifest(run)["status"] == "failed"
+    resume(run)
+    require_equal(run, straight)
+    assert manifest(run)["resumes"][0]["proved"] == [2, 2]
+
+
+def test_results_describe_the_last_iteration_and_not_the_one_before_the_resume(run, straight):
+    change_manifest(run, results={**manifest(run)["results"], "stuck_curricula": ["old"], "non_finite": {"a": 1}})
+    log = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]
+    log[-1]["scalars"]["Episode_Termination/rare"] = 1.0
+    (run / "iterations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in log))
+    resume(run, "agent.max_iterations=5")
+    found, last = manifest(run)["results"], lines(run)[-1]["scalars"]
+    assert (found["iterations"], found["checkpoint"]) == (5, "model_4.pt")
+    assert {name for name in found if "/" in name} == {name for name in last if name in found}
+    assert not {"stuck_curricula", "non_finite", "Episode_Termination/rare"} & found.keys()

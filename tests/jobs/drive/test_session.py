@@ -1,16 +1,19 @@
 """One robot that is driven: commands reach it, requests are obeyed, and nothing happens unasked."""
 
 import math
+import socket
+import threading
 from dataclasses import replace
 
 import pytest
 import torch
+from patience import PATIENCE_S
 
 from jobs.drive.cart import VELOCITY, cart, cart_env, driver
 from wheelleg_exp.config.schema import Drive
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.jobs.drive.drive_page import DrivePage
-from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_page import DrivePage, InputServer
+from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Jump, Push, Reset
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -152,3 +155,32 @@ def test_the_key_for_getting_up_hands_over_and_back(tmp_path):
         page.open(session, Choose(), options, [tmp_path / "model_1.pt"])
         page._hands.press("get_up")
     assert session.controls.take() == []
+
+
+def test_requests_of_many_threads_are_all_taken_once(tmp_path):
+    controls = Controls([Axis("a", "t", "a", -1.0, 1.0)])
+    threads = [threading.Thread(target=lambda: [controls.request(Reset()) for _ in range(100)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    taken = []
+    while any(thread.is_alive() for thread in threads):
+        taken += controls.take()
+    taken += controls.take()
+    assert (len(taken), controls.take()) == (400, [])
+
+
+def test_a_wrong_message_prints_no_traceback(capfd):
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    controls = Controls([])
+    with InputServer(controls, ["http://here"]) as server:
+        port = server._server.socket.getsockname()[1]
+        with connect(f"ws://127.0.0.1:{port}", origin="http://here") as page:
+            page.send("x" * 1025)
+            with pytest.raises(ConnectionClosed):
+                page.recv(timeout=PATIENCE_S)
+        with socket.create_connection(("127.0.0.1", port)) as stranger:
+            stranger.sendall(b"nonsense\r\n\r\n")
+            stranger.recv(100)
+    assert "Traceback" not in "".join(capfd.readouterr())
