@@ -27,9 +27,10 @@ def convert_agent(
     chosen = {"actor": [top], "critic": ["critic" if "critic" in groups else top]}
     runner = {"actor": given.get("actor") or given.get("policy"), "critic": given.get("critic")}
     chosen |= {role: list(names) for role, names in runner.items() if names and set(names) <= set(groups)}
+    agent: Tree = {"algorithm": {}, "obs_groups": chosen, **part.take_if_known(RUNNER)}
     algorithm = part.section("algorithm")
     _require_class(algorithm, "PPO")
-    agent: Tree = {"algorithm": algorithm.take_if_known(PPO), "obs_groups": chosen, **part.take_if_known(RUNNER)}
+    agent["algorithm"] = algorithm.take_if_known(PPO)
     algorithm.drop(("rnd_cfg", "symmetry_cfg"), "set this in the config of the agent; it does not change a policy")
     algorithm.finish()
     policy = part.section("policy")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import NotRequired, TypedDict, cast
+from typing import TypedDict, cast
 
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
@@ -68,10 +68,13 @@ class EvaluationNumbers(TypedDict):
     metrics: Mapping[str, MetricNumbers]
 
 
-class About(TypedDict):
+class _Profile(TypedDict, total=False):
+    profile: str | None
+
+
+class About(_Profile):
     """The robot's profile, and the steps of the evaluation, s."""
 
-    profile: NotRequired[str | None]
     physics_dt_s: float
     step_dt_s: float
 

@@ -245,7 +245,8 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
         return
     for group, joints in _groups(case).items():
         name, joint, drive, rate = _worst(
-            joints, lambda j, d: -(math.sqrt(d.stiffness / j.effective) if d.stiffness else d.damping / j.effective)
+            joints,
+            lambda j, d: -(math.sqrt(d.stiffness / j.effective) if d.stiffness > 0.0 else d.damping / j.effective),
         )
         bandwidth = -rate
         needed = balance.pole * (2.0 if drive.stiffness == 0.0 else 1.0)

@@ -113,8 +113,11 @@ def _training(run: RunDirectory) -> Subject:
     subject.overrides = [str(text) for text in typed] if isinstance(typed, list) else None
     nothing: Mapping[str, object] = {}
     subject.config = {part: subject.tried(partial(_mapping, subject, f"params/{part}.yaml"), nothing) for part in PARTS}
-    runtime = section_at(subject.tried(lambda: _mapping(subject, ".hydra/hydra.yaml"), nothing), "hydra.runtime")
+    hydra = subject.tried(lambda: _mapping(subject, ".hydra/hydra.yaml"), nothing)
+    runtime = section_at(hydra, "hydra.runtime")
     subject.choices, sources = section_at(runtime, "choices"), runtime.get("config_sources")
+    if hydra and not (isinstance(runtime.get("choices"), Mapping) and isinstance(sources, list)):
+        subject.problems.append("the file .hydra/hydra.yaml lacks the choices or the config folders of the run")
     found = [entry for entry in (sources if isinstance(sources, list) else ()) if isinstance(entry, Mapping)]
     kept = [entry for entry in found if entry.get("schema") == "file" and entry.get("provider") != "main"]
     # Read only those folders of the run's Hydra search path that the user trusts.

@@ -77,10 +77,11 @@ class Mirror:
     def _actions(self) -> SignedSources:
         """Return (j, sign) for each action i: the mirrored action i is ``sign`` times the action j."""
         manager = self._env.action_manager
-        made: dict[tuple[str, str], tuple[float, float]] = {}
+        columns: dict[tuple[str, str], int] = {}
+        made: list[tuple[str, str, float, float]] = []
         for name in manager.active_terms:
             term = manager.get_term(name)
-            kind, joints = term.drives or name, list(getattr(term, "joint_names", []))
+            kind, joints = str(term.drives), list(getattr(term, "joint_names", []))
             path = f"env.actions.{name}"
             if len(joints) != term.action_dim or tuple(term.processed_actions.shape[1:]) != (term.action_dim,):
                 expected = "terms with one action for each joint"
@@ -92,20 +93,22 @@ class Mirror:
             term.process_actions(zeros + 1.0)
             scale = term.processed_actions[0] - offset
             term.load_state_dict(saved)
-            pairs = zip(offset.tolist(), scale.tolist(), strict=True)
-            made |= {(kind, joint): pair for joint, pair in zip(joints, pairs, strict=True)}
-        names, columns, turned = self._env.scene.robot.joint_names, list(made), []
-        for (kind, joint), (own_offset, own_scale) in made.items():
+            for joint, o, s in zip(joints, offset.tolist(), scale.tolist(), strict=True):
+                columns[kind, joint] = len(columns)
+                made.append((kind, joint, o, s))
+        names, turned = self._env.scene.robot.joint_names, []
+        for kind, joint, offset_, scale_ in made:
             source = names.index(joint)
-            image, sign = (kind, names[self._images[source]]), self._signs[source]
-            if image not in made:
+            image = (kind, names[self._images[source]])
+            sign = self._signs[source]
+            if image not in columns:
                 message = f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind"
                 raise ConfigError(message, key="env.actions", expected="actions for both sides")
-            its_offset, its_scale = made[image]
-            if max(abs(its_scale - own_scale), abs(its_offset - sign * own_offset)) > _MAX_TARGET_ERROR:
+            _, _, its_offset, its_scale = made[columns[image]]
+            if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
                 message = f"an action sets another target for '{joint}' than for its image '{image[1]}'"
                 raise ConfigError(message, key="env.actions", expected="one scale, and offsets that are images")
-            turned.append((columns.index(image), sign))
+            turned.append((columns[image], sign))
         return turned
 
     def _group(self, group: str) -> SignedSources:

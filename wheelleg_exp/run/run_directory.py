@@ -86,8 +86,8 @@ class RunDirectory(os.PathLike[str]):
         If the run directory already exists, the suffix ``-2``, ``-3``, … makes its name unique. ``section`` is the
         subfolder ``agents`` or ``replays`` of ``root``; ``wheelleg list runs`` does not show its runs.
         """
-        for part, key in ((task, "task.name"), (name, "run.name")):
-            if part is not None and not re.fullmatch(NAME, str(part)):
+        for part, key in ((task, "task.name"), ("run" if name is None else name, "run.name")):
+            if not isinstance(part, str) or not re.fullmatch(NAME, part):
                 raise ConfigError(f"{part!r} cannot be part of a folder name", key=key, expected=NAME_WORDS)
         if task in _NOT_TASKS:
             message = f"'{task}' is reserved and cannot be the name of a task"

@@ -227,12 +227,14 @@ class ArticulationData(Stateful):
     @cached_until_change
     def root_link_lin_vel_w(self) -> torch.Tensor:
         """Velocity of the root link's origin in world axes, m/s, (N, 3)."""
-        return self._velocities[:, 0:3] if self._floating else torch.zeros_like(self.root_pos_w)
+        n, device = self._sim.num_envs, self._sim.device
+        return self._velocities[:, 0:3] if self._floating else torch.zeros(n, 3, device=device)
 
     @cached_until_change
     def root_ang_vel_b(self) -> torch.Tensor:
         """Angular velocity of the root link in its own axes, rad/s, (N, 3)."""
-        return self._velocities[:, 3:6] if self._floating else torch.zeros_like(self.root_pos_w)
+        n, device = self._sim.num_envs, self._sim.device
+        return self._velocities[:, 3:6] if self._floating else torch.zeros(n, 3, device=device)
 
     @cached_until_change
     def root_ang_vel_w(self) -> torch.Tensor:

@@ -63,6 +63,9 @@ class Scene(Stateful):
         spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{sim.integrator.upper()}")
         spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{sim.solver.upper()}")
         spec.option.cone = getattr(mujoco.mjtCone, f"mjCONE_{sim.cone.upper()}")
+        for geom in spec.geoms if robot.self_collisions is not None else ():
+            if geom.contype or geom.conaffinity:  # Body pairs that the robot's file excludes never collide.
+                geom.contype, geom.conaffinity = int(robot.self_collisions or False), 1
         with blamed(TERRAIN_KEY, terrain):
             terrain.read_files(mjcf.parent)
             terrain.place(num_envs, scene.env_spacing, self.device, partial(stream, TERRAIN_KEY))
@@ -273,8 +276,6 @@ def _set_geoms(spec: mujoco.MjSpec, robot: RobotOptions, ground_friction: float)
             continue
         geom.group = _ROBOT_GROUP if geom.group == GROUND_GROUP else geom.group
         if geom.contype or geom.conaffinity:
-            if robot.self_collisions is not None:  # Body pairs that the robot's file excludes never collide.
-                geom.contype, geom.conaffinity = int(robot.self_collisions), 1
             # In each contact of robot and ground, PhysX combines the two friction coefficients.
             # MuJoCo uses the friction of the geom with higher priority, so raise the priority of the robot's geoms.
             geom.priority = _ROBOT_PRIORITY

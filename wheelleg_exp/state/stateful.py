@@ -167,7 +167,8 @@ def restore(owner: object, saved: Mapping[str, object]) -> None:
         state = saved.get(name, {})
         if key is not None and isinstance(state, Mapping):
             state = state.get(key)
-        if declarations(owner)[name].saved and isinstance(state, Mapping):
+        if declarations(owner)[name].saved and state is not None:
+            state = cast("Mapping[str, object]", state)
             item.load_state_dict(state) if is_saving(item) else restore(item, state)
 
 

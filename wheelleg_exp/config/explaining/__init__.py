@@ -6,6 +6,5 @@
 | `alternatives` | the values that a key accepts, also for shell completion |
 | `key_documentation` | texts about keys: docstrings, YAML comments, and a table |
 | `catalog` | tasks, groups, options and the library of terms |
-| `term_shapes` | the layout of observations and actions |
 | `config_diff` | two configs compared by meaning |
 """

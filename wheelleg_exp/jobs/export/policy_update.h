@@ -1,4 +1,4 @@
-/* The part of policy.h that is the same for all policies; c_update.py writes the constants. Copied into policy.h. */
+/* The part of policy.h that is the same for all policies; c_header.py writes the constants. Copied into policy.h. */
 enum { POLICY_BOUNDS, POLICY_UNIT_VECTOR, POLICY_COMMAND, POLICY_ENCODER };
 enum { POLICY_REST, POLICY_LIFT, POLICY_RUN, POLICY_STOP };
 enum { POLICY_MOST_STEPS = 10000 };

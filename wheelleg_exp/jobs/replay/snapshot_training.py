@@ -149,11 +149,11 @@ def _config(run: RunDirectory, request: Request) -> dict[str, Any]:
 def _asset(run: RunDirectory, env: Mapping[str, Any], request: Request, display: ReplayDisplay) -> CachedConversion:
     """Convert the robot again from its restored source files; if impossible, copy the robot that the run saved."""
     from wheelleg_exp.asset.conversion_cache import MODEL, convert_cached, find_extra_files, source_digest
-    from wheelleg_exp.jobs.saved_robot import load_saved_robot
+    from wheelleg_exp.jobs.saved_robot import load_saved_robot, saved_mjcf
     from wheelleg_exp.paths import INITIAL, TEACHER, find_asset
     from wheelleg_exp.run.run_config import recorded_robot
 
-    workplace, saved = Path(request.workplace), load_saved_robot(run)
+    workplace = Path(request.workplace)
     folders = [Path(folder) for folder in request.config_dirs]
     robot, roots = env["robot"], [root for folder in folders for root in (folder.parent / "assets", folder.parent)]
     why = "the conversion gives another MJCF than the run's; the libraries differ"
@@ -165,14 +165,14 @@ def _asset(run: RunDirectory, env: Mapping[str, Any], request: Request, display:
             why = f"'{source.name}' or a file that it uses is not the recorded one"
         else:
             made = convert_cached(source, base=robot["base"], cache_dir=workplace / "assets", extra_files=extra)
-            if made.output.read_text(encoding="utf-8") == saved.output.read_text(encoding="utf-8"):
+            if made.output.read_text(encoding="utf-8") == saved_mjcf(run).read_text(encoding="utf-8"):
                 display.record("asset", converted=True, note=None)
                 return made
     except WheellegError as error:
         why = f"the robot cannot be converted again ({error})"
     display.record("asset", converted=False, note=f"{why}: the replay simulates the saved MJCF")
-    kept = workplace / "kept"
-    with for_people(workplace):
+    kept, saved = workplace / "kept", load_saved_robot(run)
+    with for_people(kept):
         shutil.copytree(run.asset, kept)
         (kept / saved.output.name).rename(kept / MODEL)
     return replace(saved, output=kept / MODEL)
