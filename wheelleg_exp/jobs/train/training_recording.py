@@ -118,7 +118,7 @@ class TrainingRecording(ObservingRecording):
         start_iteration: int = 0,
     ) -> None:
         path, name, ids = directory.recording, directory.id, options.env_ids
-        about = {"task": directory.manifest().data["task"]}
+        about = {"task": directory.path.parent.name}
         aside = move_aside(path, go_on=start_iteration > 0)
         kept = env.common_step_counter if start_iteration > 0 else None
         recorder = Recorder(
