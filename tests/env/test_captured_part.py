@@ -250,6 +250,22 @@ def test_an_equal_number_of_another_type_is_another_setting(value):
     assert run().dtype == (torch.int64 if type(value) is int else torch.float32)
 
 
+def test_an_entry_that_is_deleted_stays_deleted():
+    term = TermBase()
+    cache = term.buffer("cache", {})
+
+    def work() -> torch.Tensor:
+        cache.pop("old", None)
+        return torch.zeros(1)
+
+    part, run = make_part(work, term)
+    for _ in range(6):
+        cache["old"] = torch.ones(1)
+        run()
+        assert "old" not in cache
+    assert part.recordings
+
+
 def test_an_entry_that_is_added_is_a_setting():
     term = Scaled()
     term.factors, term.more = [2.0], {}

@@ -123,6 +123,8 @@ def test_a_file_with_reversed_axes_on_one_whole_side_has_no_findings(tmp_path):
     turned = RIGHT.replace('axis="0 1 0"', 'axis="0 -1 0"').replace('range="-2 0"', 'range="0 2"')
     text = seeded((RIGHT, turned), (f"{HIP} {KNEE} 0 {HIP} {KNEE} 0", f"{HIP} {KNEE} 0 {-HIP} {-KNEE} 0"))
     assert all_findings(patient(tmp_path, text)) == []
+    legs = term("actions.JointPositionAction", joint_names=[".*_hip"], scale={".*_hip": 0.5})
+    assert found("wheel_senses", patient(tmp_path, text, actions={"legs": legs})) == []
 
 
 PACK = """<body name="pack" pos="0 0.2 0"><joint name="lid" axis="0 0 1" range="-1 1"/>

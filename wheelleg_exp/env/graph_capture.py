@@ -367,6 +367,8 @@ class Recording:
         containers: the slots of the dictionaries and lists that hold these slots, and these dictionaries and lists.
         assigned: the places to which the method assigns a value: the holder, the key, and the value.
         output: the result of the method, in the memory of the CUDA graph.
+        removed: the dictionary entries that the method deletes: the dictionary and the key.
+        tuples: the values whose ids are part of the recording's key, so that no other value gets the same id.
         used: the number of the method's call that last used the CUDA graph.
     """
 
@@ -376,6 +378,8 @@ class Recording:
     containers: list[tuple[Slot, object]]
     assigned: list[tuple[Any, Any, object]]
     output: Any
+    removed: list[tuple[Any, Any]]
+    tuples: list[object]
     used: int = 0
 
     def __post_init__(self) -> None:
@@ -383,18 +387,18 @@ class Recording:
         # Other values cannot be copied into a tensor whose memory several slots use.
         self._shared = {id(static) for _, static in self.buffers if counts[_address(static)] > 1}
 
-    def load(self, args: tuple[object, ...]) -> str | None:
-        """Copy buffers and arguments to the CUDA graph's tensors; return the label of a slot that does not fit."""
+    def load(self, args: tuple[object, ...]) -> Slot | None:
+        """Copy buffers and arguments to the CUDA graph's tensors; return a slot whose value does not fit."""
         for slot, container in self.containers:
             if slot.value is not container:
-                return slot.label
+                return slot
         try:
             moved = [(slot, own, now) for slot, own in self.buffers if (now := slot[0][slot[1]]) is not own]
         except LookupError:
-            return next(slot.label for slot, _ in self.buffers if slot.value is None)
+            return next(slot for slot, _ in self.buffers if slot.value is None)
         for slot, own, now in moved:
             if id(own) in self._shared or not _fits(now, own):
-                return slot.label
+                return slot
         _copy([(own, now) for _, own, now in moved])
         for slot, own, _ in moved:
             slot.holder[slot.key] = own
@@ -406,6 +410,8 @@ class Recording:
     def replay(self) -> Any:
         """Replay the CUDA graph, and repeat the method's assignments, which are not part of the graph."""
         self.graph.replay()
+        for holder, key in self.removed:
+            holder.pop(key, None)
         for holder, key, value in self.assigned:
             holder[key] = value
         return self.output
@@ -476,9 +482,10 @@ class CapturedPart:
             if is_full:
                 del self.recordings[next(iter(self.recordings))]
         elif unfit := recording.load(args):
+            self.values.add_flags([unfit])
             self._mismatches += 1
             if self._mismatches > _MOST_MISMATCHES:
-                self._give_up(f"{unfit} holds other memory again and again")
+                self._give_up(f"{unfit.label} holds other memory again and again")
             return self._run(args)
         self.recordings[key], recording.used = recording, self._calls
         self._missed -= self._missed > 0
@@ -566,17 +573,24 @@ class CapturedPart:
         except Exception:
             # Restore all values, because a failed capture has assigned tensors whose values no kernel has computed.
             for slot in reversed(values.slots()):
-                if slot.id not in before:
+                is_attribute = isinstance(slot.holder, dict) and "_declared" in slot.holder
+                if slot.id not in before and not is_attribute:
                     del slot.holder[slot.key]
             for slot, value in before.values():
                 slot.holder[slot.key] = value
             raise
         values.add_flags(slot for slot, value in before.values() if kind_of(value) != kind_of(slot.value))
-        changed = [s for s in values.slots() if s.id not in before or before[s.id][1] is not s.value]
+        after = values.slots()
+        changed = [s for s in after if s.id not in before or before[s.id][1] is not s.value]
+        removed = [
+            (s.holder, s.key) for s, _ in before.values() if isinstance(s.holder, dict) and s.key not in s.holder
+        ]
+        tuples: list[object] = [value for _, value in before.values() if isinstance(value, tuple)]
         assigned = [(slot.holder, slot.key, slot.value) for slot in changed]
         memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in changed]))
         buffers = [(slot, value) for slot, value in tensors if _address(value) in memory]
         holders = {id(slot.holder) for slot, _ in buffers}
         containers = [(slot, value) for slot, value in before.values() if id(value) in holders]
         # Copy the containers of the output, but not its tensors: the method may change its containers later.
-        return Recording(graph, inputs, buffers, containers, assigned, tree_map(lambda leaf: leaf, outputs[0]))
+        output = tree_map(lambda leaf: leaf, outputs[0])
+        return Recording(graph, inputs, buffers, containers, assigned, output, removed, tuples)

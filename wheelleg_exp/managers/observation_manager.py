@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
@@ -103,8 +103,10 @@ class ObservationManager(Stateful):
         """
         before = None if only is None else self.state_dict()
         first, values = self._first_ids(), Values()
-        samples = {group: [t.sample(values) for t in terms.values()] for group, terms in self._groups.items()}
-        self.obs_buf = {group: self._with_histories(group, samples[group], first, keep=True) for group in samples}
+        self.obs_buf = {  # Copy a sample before the next term runs, which may reuse its tensor.
+            group: self._with_histories(group, (term.sample(values) for term in terms.values()), first, keep=True)
+            for group, terms in self._groups.items()
+        }
         if self._any_first:
             self._is_first.fill_(False)
             self._any_first = False
@@ -170,12 +172,12 @@ class ObservationManager(Stateful):
                 term.history = HistoryBuffer(env.num_envs, term.history_length, term.sample_shape, env.device)
 
     def _with_histories(
-        self, group: str, samples: Sequence[torch.Tensor], first: torch.Tensor | None, *, keep: bool
+        self, group: str, samples: Iterable[torch.Tensor], first: torch.Tensor | None, *, keep: bool
     ) -> Group:
         """Return the observation of a group from a sample of each term; if ``keep``, store the samples in histories."""
         row = self._rows.get(group)
         if row is not None:
-            return row.append(samples, first) if keep else row.appended(samples, first)
+            return row.append([*samples], first) if keep else row.appended([*samples], first)
         shown = {}
         for (name, term), sample in zip(self._groups[group].items(), samples, strict=True):
             if isinstance(term.history, HistoryBuffer):
