@@ -131,8 +131,8 @@ MISTAKES = [
     (
         [f"{TERMS}=[base_height,{USUAL}]", "agent.actor.activation=relu", "action@env.actions=[wheel_vel,leg_pos]"],
         [
-            f"{POLICY}.terms.base_height: is new",
-            *("agent.actor.activation", "has elu and this relu"),
+            f"{POLICY}.terms.base_height: is new, and",
+            *("agent.actor.activation", "has elu, and this training has relu"),
             *("env.actions:", "in the order leg_pos, wheel_vel"),
         ],
     ),

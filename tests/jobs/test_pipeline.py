@@ -282,7 +282,7 @@ def test_mistakes_of_all_phases_are_reported_at_once_and_a_mistake_of_all_phases
     assert "set this themselves" in refusal(phases, ["task=walk"])
     phases["second"].overrides.append("observation@env.observations.policy.terms=[base_height,base_ang_vel]")
     said = refusal(phases, WORDS)  # The phases do not fit together.
-    assert re.search(r"phase 'second': env\..*: is new: phase 'first' does not have it", said)
+    assert re.search(r"phase 'second': env\..*: is new, and phase 'first' does not have it", said)
     phases = read_pipeline(tree()).phases
     phases["second"].overrides.append("env.rewards.alive.weigth=1")
     for phase in phases.values():

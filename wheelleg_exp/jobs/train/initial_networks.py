@@ -59,12 +59,12 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
                 _refuse(found, f"agent.{role}.{'.'.join(change.keys)}", _both_values(change, of))
         groups = [list((part.get("obs_groups") or {}).get(role) or []) for part in (old_agent, agent)]
         if groups[0] != groups[1]:
-            _refuse(found, f"agent.obs_groups.{role}", f"{of} has {groups[0]} and this has {groups[1]}")
+            _refuse(found, f"agent.obs_groups.{role}", f"{of} has {groups[0]}, and this training has {groups[1]}")
         for name in (name for name in groups[1] if name in groups[0]):
             was_group, group = ((part.get("observations") or {}).get(name) or {} for part in (old_env, env))
             for key in _LAYOUT_KEYS:
                 if was_group.get(key) != group.get(key):
-                    message = f"{of} has {was_group.get(key)} and this {group.get(key)}"
+                    message = f"{of} has {was_group.get(key)}, and this training has {group.get(key)}"
                     _refuse(found, f"env.observations.{name}.{key}", message)
             old, new = was_group.get("terms") or {}, group.get("terms") or {}
             # The inputs of new terms after all old terms of the last group are the last inputs of the network.
@@ -81,7 +81,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
         found.notes.append(_describe_change("env.robot.profile", *profiles))
     orders = [(part.get("robot") or {}).get("joint_order") for part in (old_env, env)]
     if orders[0] != orders[1]:
-        _refuse(found, "env.robot.joint_order", f"{of} has {orders[0]} and this has {orders[1]}")
+        _refuse(found, "env.robot.joint_order", f"{of} has {orders[0]}, and this training has {orders[1]}")
     if old_env.get("decimation") != env.get("decimation"):
         found.notes.append(_describe_change("env.decimation", old_env.get("decimation"), env.get("decimation")))
     mistakes = {(error.key, error.message): error for error in found.mistakes}
@@ -93,7 +93,7 @@ def _compare_terms(
 ) -> None:
     for name in now:
         if name not in was:
-            _refuse(found, f"{key}.{name}", f"is new: {of} does not have it")
+            _refuse(found, f"{key}.{name}", f"is new, and {of} does not have it")
     for name in was:
         if name not in now:
             _refuse(found, f"{key}.{name}", f"is missing: {of} has it")
@@ -120,7 +120,7 @@ def _error(key: str, message: str) -> ConfigError:
 
 
 def _both_values(change: Change, of: str) -> str:
-    return f"{of} has {_shorten(change.a)} and this {_shorten(change.b)}"
+    return f"{of} has {_shorten(change.a)}, and this training has {_shorten(change.b)}"
 
 
 def _describe_change(key: str, was: object, now: object) -> str:
