@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
 from jobs.replays import commit, git
+from jobs.small import cache_of
+from wheelleg_exp.asset import convert_cached
 from wheelleg_exp.errors import RunDirectoryError, WheellegError
 from wheelleg_exp.files import write_text
 from wheelleg_exp.jobs.replay import replay_run
 from wheelleg_exp.jobs.replay import restored_imports as replay_boot
 from wheelleg_exp.jobs.replay.replay_run import RestoredSource, describe_code, restore_all
-from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, Request, _first_difference
+from wheelleg_exp.jobs.replay.snapshot_training import PROTOCOL, ReplayDisplay, Request, _asset, _first_difference
+from wheelleg_exp.jobs.saved_robot import REPORT, save_robot
+from wheelleg_exp.paths import find_asset
 from wheelleg_exp.run.environment import replay_environ, requested_variables
 from wheelleg_exp.run.environment import variables as recorded_variables
 from wheelleg_exp.run.manifest import Manifest
@@ -85,6 +90,18 @@ def test_the_boot_code_imports_nothing_of_this_program():
 )
 def test_the_first_difference_of_two_configs_is_named(now, said):
     assert _first_difference({"a": {"b": 1, "c": 2}}, now, "") == said
+
+
+def test_a_robot_is_converted_again_without_the_conversion_report_of_the_run(tmp_path, tmp_path_factory):
+    name, run = "wheelleg/wheelleg.usda", RunDirectory.create(tmp_path / "runs", "stand", 0)
+    saved = convert_cached(find_asset(name), cache_dir=cache_of(tmp_path_factory) / "assets")
+    save_robot(run, saved, name, model_sha256="")
+    (run.asset / REPORT).unlink()
+    display, env = ReplayDisplay(Mock(), Mock()), {"robot": {"asset": name, "base": "auto"}}
+    made = _asset(run, env, request(workplace=str(tmp_path)), display)
+    assert display.found["asset"] == {"converted": True, "note": None}
+    assert made.output.read_text() == saved.output.read_text()
+    assert made.output.is_relative_to(tmp_path / "assets")
 
 
 def resumed(**entry) -> list[str]:

@@ -171,6 +171,15 @@ def test_an_incomplete_record_is_reported_by_its_file(written, capsys, damage, m
     assert "wheelleg train" not in told
 
 
+def test_a_record_without_the_robots_profile_is_read_and_its_page_names_none(tmp_path):
+    record = json.loads((FOLDER / "stand.json").read_text())
+    assert "with `profile: article`" in result_page(record, read_manifests(record, FOLDER))
+    del record["about"]["profile"]  # Records of earlier versions lack this key.
+    write_json(tmp_path / "stand.json", record)
+    page = result_page(records.read_record(tmp_path / "stand.json"), read_manifests(record, FOLDER))
+    assert "profile:" not in page
+
+
 @pytest.mark.parametrize("word", ["latest", "protocol=walk", "smal"])
 def test_only_results_are_repeated_and_all_are_found_before_the_first_starts(written, capsys, word):
     status, told = again(written, capsys, word)

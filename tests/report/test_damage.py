@@ -43,6 +43,15 @@ def test_damaged_parameters_are_reported(page, run, content):
     assert "Survival 75 %" in found.text
 
 
+@pytest.mark.parametrize("content", ["hydra: 1\n", "hydra: {runtime: {choices: {}, config_sources: none}}\n"])
+def test_a_hydra_file_without_choices_or_config_folders_is_reported(page, run, content):
+    assert "hydra.yaml lacks" not in page(run).text
+    write_text(run.hydra / "hydra.yaml", content)
+    found = page(run)
+    assert "the file .hydra/hydra.yaml lacks the choices or the config folders of the run" in found.text
+    assert "Survival 75 %" in found.text
+
+
 def test_without_hydra_source_and_asset_the_other_sections_exist(page, run):
     for folder in (run.hydra, run.source, run.asset):
         shutil.rmtree(folder)

@@ -29,7 +29,7 @@ def test_a_taken_name_gets_a_number_even_if_many_runs_start_at_once(tmp_path):
         assert len(set(pool.map(lambda _: (barrier.wait(), create_exclusively(tmp_path, "x"))[1], range(16)))) == 16
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "a b", "ä", "x" * 101, "-x", "a\n"])
+@pytest.mark.parametrize("name", ["", 5, "a/b", "..", ".hidden", "a b", "ä", "x" * 101, "-x", "a\n"])
 def test_a_name_that_no_folder_should_have_is_refused(tmp_path, name):
     with pytest.raises(ConfigError, match=r"run\.name: "):
         RunDirectory.create(tmp_path, "walk", 0, name, NOW)
