@@ -35,6 +35,11 @@ def test_a_drive_beyond_a_limit_is_found(rule, joint, change, key, figures, fine
     assert found(rule, case(changed(joint, fine))) == []
 
 
+def test_the_bandwidth_of_a_drive_with_negative_stiffness_is_that_of_its_damping():
+    # kd / I is 2 / 0.1 = 20 rad/s, above the fall's 2 rad/s.
+    assert found("drive_bandwidth", case(with_joint("hip", drive={"stiffness": -1.0}))) == []
+
+
 def test_a_leg_drive_is_not_compared_with_traction():
     assert found("effort_against_traction", case(with_joint("hip", drive={"effort": 100.0}))) == []
 

@@ -211,6 +211,14 @@ def test_a_config_without_a_mirror_image_is_rejected_with_its_key(make_trainer, 
     check_mirror(make_trainer, [MIRRORED, *words], key, said)
 
 
+def test_terms_that_set_no_joint_targets_can_be_images_of_each_other(make_trainer, monkeypatch):
+    monkeypatch.setattr("wheelleg_exp.mdp.actions.JointVelocityAction.drives", "")
+    right = "{_target_: wheelleg_exp.mdp.actions.JointVelocityAction, joint_names: [r03], scale: 5.0}"
+    words = ("env.actions.wheel_vel.joint_names=[l03]", f"+env.actions.right={right}")
+    mirror = make_trainer(MIRRORED, *words).env.mirror
+    assert mirror.actions(torch.arange(6.0).view(1, 6)).tolist() == [[float(i) for i in ACTIONS]]
+
+
 def check_mirror(make_trainer, words, key, said):
     """Check that a config has no mirror image because of ``key``, or that it has one if ``key`` is None."""
     if key is None:

@@ -90,6 +90,16 @@ class FlatOrigins(Floor):
         return torch.zeros(num_envs, 2)
 
 
+class OwnCollisions(Floor):
+    name = "ground"
+
+    def add_to(self, spec):
+        super().add_to(spec)
+        for geom in spec.geoms:  # The geoms of the robot collide with the ground only.
+            is_floor = geom.name == self.name
+            geom.contype, geom.conaffinity = (4, 0) if is_floor else (0, 4)
+
+
 class OneHeight(Floor):
     name = "ground/1"
 
@@ -153,6 +163,14 @@ def test_an_error_in_a_lazy_sensor_names_the_sensor(make_env):
     env = make_env(scene={"sensors": {"mine": {"_target_": HERE + "RaisesWhenRead"}}})
     with pytest.raises(SimulationFailure, match=f"{SENSOR}: '{HERE}RaisesWhenRead.*RuntimeError: no signal"):
         env.scene["mine"].data  # noqa: B018
+
+
+def test_a_ground_can_choose_what_collides_even_if_the_robot_does_not_collide_with_itself(make_env):
+    ground = {"_target_": HERE + "OwnCollisions"} | GROUND
+    model = make_env(scene={"terrain": ground}, robot={"self_collisions": False}).scene.model
+    found = {model.geom(g).name: (model.geom_contype[g], model.geom_conaffinity[g]) for g in range(model.ngeom)}
+    assert found.pop("ground") == (4, 0)
+    assert set(found.values()) == {(0, 4)}
 
 
 def test_an_engine_is_chosen_by_its_class_and_takes_the_keys_of_its_node(make_env):
