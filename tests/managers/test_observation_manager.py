@@ -133,6 +133,16 @@ def test_an_observation_that_is_separated_by_term_does_not_change_later(start_en
         assert torch.equal(first["policy"][name], value), name
 
 
+def test_a_later_term_can_reuse_the_tensor_of_an_earlier_term(make_env):
+    groups = {"a": ["x", "y"], "b": ["z"], "c": ["w"]}
+    nodes = {name: {"terms": {k: _value(k) for k in keys}, "concatenate_terms": False} for name, keys in groups.items()}
+    nodes["b"]["concatenate_terms"] = nodes["c"]["concatenate_terms"] = True
+    env, tensor = make_env(observations=nodes), torch.zeros(4)
+    spies.VALUES.update({key: lambda _, i=i: tensor.fill_(float(i)) for i, key in enumerate("xyzw")})
+    found = env.observation_manager.compute()
+    assert [float(value[0]) for value in (*found["a"].values(), found["b"], found["c"])] == [0, 1, 2, 3]
+
+
 BIAS = {"noise_cfg": {"_target_": N + "GaussianNoise", "std": 0.1}}
 BIAS["bias_noise_cfg"] = {"_target_": N + "UniformNoise", "operation": "abs"}
 

@@ -153,6 +153,24 @@ def test_a_reset_fills_rows():
     assert value.sum.tolist() == [[-1, -1], [0, 0], [-1, -1]]
 
 
+class SavesANumber:
+    total = 0.0
+
+    def state_dict(self):
+        return self.total
+
+    def load_state_dict(self, saved):
+        self.total = saved
+
+
+@pytest.mark.parametrize("made", [lambda part: part, lambda part: [part]])
+def test_the_state_of_a_part_can_be_a_number(made):
+    value, other = SavesANumber(), SavesANumber()
+    value.total = 2.0
+    Root(made(other)).load_state_dict(saved(Root(made(value))))
+    assert other.total == 2.0
+
+
 @pytest.mark.parametrize(("before", "after"), [(NAN, 0.0), (INF, 3.0), (0.0, -0.0), (2.0, 2.0)])
 def test_a_setting_is_saved_once_one_bit_differs_and_a_new_config_wins_otherwise(before, after):
     value, other = Declares(before), Declares(5.0)
