@@ -36,8 +36,10 @@ def test_a_drive_beyond_a_limit_is_found(rule, joint, change, key, figures, fine
 
 
 def test_the_bandwidth_of_a_drive_with_negative_stiffness_is_that_of_its_damping():
-    # kd / I is 2 / 0.1 = 20 rad/s, above the fall's 2 rad/s.
+    # kd / I is 2 / 0.1 = 20 rad/s, above the fall's 2 rad/s, or a hundredth of it.
     assert found("drive_bandwidth", case(with_joint("hip", drive={"stiffness": -1.0}))) == []
+    slow = case(with_joint("hip", drive={"stiffness": -1.0, "damping": 0.02}))
+    assert found("drive_bandwidth", slow)[0].figures["bandwidth"] == pytest.approx(0.2)
 
 
 def test_a_leg_drive_is_not_compared_with_traction():

@@ -117,6 +117,8 @@ def test_a_flipped_wheel(tmp_path):
     assert "'l_axle' rolls the robot forwards, of 'r_axle' backwards" in said
     wheels = term("actions.JointVelocityAction", joint_names=["._axle"], scale={"l_axle": 5.0, "r_axle": -5.0})
     assert found("wheel_senses", patient(tmp_path, text, actions={"wheels": wheels})) == []
+    legs = term("actions.JointPositionAction", joint_names=[".*_hip"], scale={".*_hip": 0.5})
+    assert "'l_axle' rolls" in only("wheel_senses", patient(tmp_path, text, actions={"legs": legs}))
 
 
 def test_a_file_with_reversed_axes_on_one_whole_side_has_no_findings(tmp_path):

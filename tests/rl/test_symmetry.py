@@ -217,6 +217,9 @@ def test_terms_that_set_no_joint_targets_can_be_images_of_each_other(make_traine
     words = ("env.actions.wheel_vel.joint_names=[l03]", f"+env.actions.right={right}")
     mirror = make_trainer(MIRRORED, *words).env.mirror
     assert mirror.actions(torch.arange(6.0).view(1, 6)).tolist() == [[float(i) for i in ACTIONS]]
+    again = [f"+env.actions.{name}2={right.replace('r03', name)}" for name in ("l03", "r03")]
+    mirror = make_trainer(MIRRORED, *words, *again).env.mirror
+    assert mirror.actions(torch.arange(8.0).view(1, 8))[0, 4:].tolist() == [5.0, 4.0, 7.0, 6.0]
 
 
 def check_mirror(make_trainer, words, key, said):

@@ -252,7 +252,7 @@ def drive_bandwidth(case: Case) -> Iterator[Finding]:
         needed = balance.pole * (2.0 if drive.stiffness == 0.0 else 1.0)
         if not 0.0 < bandwidth < needed:
             continue
-        ratio = drive.damping / (2 * math.sqrt(drive.stiffness * joint.effective)) if drive.stiffness else 0.0
+        ratio = drive.damping / (2 * math.sqrt(drive.stiffness * joint.effective)) if drive.stiffness > 0.0 else 0.0
         damped = f" (damping ratio {ratio:.2f})" if drive.stiffness else ""
         inertia = max(joint.effective for joint in joints.values())
         gain = at_least(inertia * needed**2 if drive.stiffness else inertia * needed)

@@ -222,7 +222,7 @@ def wheel_senses(case: Case, robot: CompiledRobot) -> Iterator[Finding]:
         if pair.left == pair.right or signs.get(pair.left, 0) * signs.get(pair.right, 0) >= 0:
             continue
         scales = [scale for term in case.terms("actions") if isinstance(scale := term.node.get("scale"), Mapping)]
-        factors = (by_joint(scale, (pair.left, pair.right), 1.0) for scale in scales)
+        factors = (by_joint(scale, list(case.facts.joints), 1.0) for scale in scales)
         if _legs_turn_alike(robot, pair) and not any(one[pair.left] * one[pair.right] < 0 for one in factors):
             scale = f"{{{pair.left}: {signs[pair.left]:g}, {pair.right}: {signs[pair.right]:g}}}"
             message = f"positive speed of '{pair.left}' rolls the robot {_way(signs[pair.left])}, of '{pair.right}' "

@@ -77,8 +77,8 @@ class Mirror:
     def _actions(self) -> SignedSources:
         """Return (j, sign) for each action i: the mirrored action i is ``sign`` times the action j."""
         manager = self._env.action_manager
-        columns: dict[tuple[str, str], int] = {}
-        made: list[tuple[str, str, float, float]] = []
+        columns: dict[tuple[str, str, int], int] = {}
+        made: list[tuple[str, str, int, float, float]] = []
         for name in manager.active_terms:
             term = manager.get_term(name)
             kind, joints = str(term.drives), list(getattr(term, "joint_names", []))
@@ -94,17 +94,18 @@ class Mirror:
             scale = term.processed_actions[0] - offset
             term.load_state_dict(saved)
             for joint, o, s in zip(joints, offset.tolist(), scale.tolist(), strict=True):
-                columns[kind, joint] = len(columns)
-                made.append((kind, joint, o, s))
+                earlier = sum(one[:2] == (kind, joint) for one in made)  # terms without ``drives`` can share a joint
+                columns[kind, joint, earlier] = len(made)
+                made.append((kind, joint, earlier, o, s))
         names, turned = self._env.scene.robot.joint_names, []
-        for kind, joint, offset_, scale_ in made:
+        for kind, joint, earlier, offset_, scale_ in made:
             source = names.index(joint)
-            image = (kind, names[self._images[source]])
+            image = (kind, names[self._images[source]], earlier)
             sign = self._signs[source]
             if image not in columns:
                 message = f"'{joint}' has an action, and its image '{image[1]}' has no action of that kind"
                 raise ConfigError(message, key="env.actions", expected="actions for both sides")
-            _, _, its_offset, its_scale = made[columns[image]]
+            _, _, _, its_offset, its_scale = made[columns[image]]
             if abs(its_scale - scale_) > _MAX_TARGET_ERROR or abs(its_offset - sign * offset_) > _MAX_TARGET_ERROR:
                 message = f"an action sets another target for '{joint}' than for its image '{image[1]}'"
                 raise ConfigError(message, key="env.actions", expected="one scale, and offsets that are images")
