@@ -119,7 +119,7 @@ def test_a_recording_depends_only_on_buffers_that_the_part_uses():
         term.unused = torch.zeros(step)
         assert run().tolist() == [step + 1.0] * 2
     (recording,) = part.recordings.values()
-    assert [slot.label for slot, _ in recording.buffers] == ["'now' of Made"]
+    assert [slot.label for slot in recording.buffers] == ["'now' of Made"]
 
 
 def test_a_buffer_may_be_replaced_by_another_tensor_of_any_shape():

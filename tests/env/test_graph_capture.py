@@ -37,7 +37,7 @@ def resets(env: ManagerBasedRLEnv) -> CapturedPart:
 
 def counts(part: CapturedPart) -> list[int]:
     """Return the numbers of environments for which a reset has been recorded."""
-    return sorted({key[0][0][0] for key in part.recordings})
+    return sorted({key[0][1][0] for key in part.recordings})
 
 
 def assert_equal_steps(plain: ManagerBasedRLEnv, captured: ManagerBasedRLEnv, actions: torch.Tensor) -> int:

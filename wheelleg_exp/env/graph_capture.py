@@ -19,14 +19,13 @@ method reads and writes: what the environment's parts have declared (see ``wheel
 from __future__ import annotations
 
 import functools
-import itertools
 import operator
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass, field
 from numbers import Number
-from typing import Any, NamedTuple, Protocol, TypeGuard, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -49,7 +48,7 @@ _RECORDINGS, _RESET_RECORDINGS = 8, 128
 _CALLS_PER_RECORDING = 16
 # Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
-_MOST_MISMATCHES = 64
+_RUNS_AFTER_MISMATCH = 64
 _MOST_KNOWN = 64  # numbered combinations of settings
 
 Key = tuple[Any, ...]
@@ -124,10 +123,14 @@ class CudaGraph:
 
 
 class Slot(NamedTuple):
-    """A place of a declared value: an attribute of a part, or an entry of a dictionary or list in this attribute."""
+    """A place of a declared value: an attribute of a part, or an entry of a dictionary or list in this attribute.
+
+    ``value`` is the value when ``Values.slots`` listed the slot, and ``now`` is the present value.
+    """
 
     holder: Any
     key: Any
+    value: Any
     label: str
     is_buffer: bool
 
@@ -137,19 +140,41 @@ class Slot(NamedTuple):
         return id(self.holder), self.key
 
     @property
-    def value(self) -> object:
-        """The present value; the entry of a dictionary or list may be missing, which gives None."""
+    def now(self) -> Any:
+        """The present value, or None if the dictionary or list no longer has the entry."""
         try:
             return self.holder[self.key]
         except LookupError:
             return None
 
+    @property
+    def has_other_tensor(self) -> bool:
+        """Whether the place has got another tensor of the same form."""
+        value, now = self.value, self.now
+        return isinstance(value, torch.Tensor) and now is not value and kind_of(now) == kind_of(value)
+
+    @property
+    def has_buffers(self) -> bool:
+        """Whether the value is a tensor, or a dictionary or list of buffers."""
+        return isinstance(self.value, torch.Tensor) or (self.is_buffer and isinstance(self.value, (dict, list)))
+
 
 def _slots_in(holder: Any, key: object, name: str, owner: str, is_buffer: bool) -> Iterator[Slot]:
-    yield Slot(holder, key, f"'{name}' of {owner}", is_buffer)
-    if isinstance(value := holder[key], (dict, list)):
+    value = holder[key]
+    yield Slot(holder, key, value, f"'{name}' of {owner}", is_buffer)
+    if isinstance(value, (dict, list)):
         for inner in list(value) if isinstance(value, dict) else range(len(value)):
             yield from _slots_in(value, inner, f"{name}.{inner}", owner, is_buffer)
+
+
+def keep_tensors(slots: Sequence[Slot]) -> None:
+    """Copy the present tensor of each slot into the slot's earlier tensor, and assign the earlier tensor again."""
+    targets = {_address(slot.value) for slot in slots}
+    # The tensors of different slots may share memory, so first clone the tensors that would be overwritten.
+    copies = [now.clone() if _address(now) in targets else now for now in [slot.now for slot in slots]]
+    for slot, copy in zip(slots, copies, strict=True):
+        slot.value.copy_(copy)
+        slot.holder[slot.key] = slot.value
 
 
 class Values:
@@ -160,21 +185,23 @@ class Values:
 
     Attributes:
         is_checked: whether no code that may change settings has run since the settings were last compared.
-        rebound: the ids of slots to which a captured method assigns another tensor.
+        statics: the tensors that all CUDA graphs use for the slots to which captured methods assign tensors, by the ids
+            of these slots; None for a slot that no CUDA graph uses yet.
+        changed: the label of a slot whose value has changed recently.
     """
 
     def __init__(self, root: object) -> None:
         self.root = root
         self.is_checked = False
-        self.rebound = set[tuple[int, object]]()
-        self._statics: dict[tuple[int, object], torch.Tensor] = {}
+        self.statics: dict[tuple[int, object], torch.Tensor | None] = {}
+        self.changed = "the set of values"
         self._flags: dict[tuple[int, object], Slot] = {}
-        self._settings: list[Slot] = []
-        self._places: list[tuple[Any, Any]] = []
+        self._places: list[tuple[Any, Any]] = []  # the holder and the key of each setting
+        self._labels: list[str] = []
         self._present: list[object] = []
+        self._kinds: Key = ()
         self._sizes: list[tuple[Sized, int]] = []
-        self._known: dict[Key, tuple[int, list[object]]] = {}
-        self._number, self._numbers = -1, itertools.count()
+        self._known: dict[Key, tuple[object, list[object]]] = {}
 
     def slots(self) -> list[Slot]:
         """Return the slots of the environment and its parts, except event terms whose mode is not ``reset``."""
@@ -189,73 +216,59 @@ class Values:
         return found
 
     def key(self) -> Key:
-        """Return the key of a CUDA graph: a number for the values of all settings, and the values of all flags."""
+        """Return the key of a CUDA graph: an object for the values of all settings, and the values of all flags."""
         if not self.is_checked:
-            self._check()
+            self._compare_settings()
             self.is_checked = True
-        return self._number, tuple([kind_of(slot.value) for slot in self._flags.values()])
+        return self._settings_id, tuple([kind_of(slot.now) for slot in self._flags.values()])
 
     def add_flags(self, found: Iterable[Slot]) -> None:
         """Include the slots ``found`` in the keys of CUDA graphs. CUDA graphs with older keys are used no more."""
-        if new := {slot.id: slot for slot in found if slot.id not in self._flags}:
-            self._flags |= new
-            self.is_checked, self._settings = False, []
+        for slot in found:
+            self.changed = slot.label
+            if slot.id not in self._flags:
+                self._flags[slot.id] = slot
+                self.is_checked, self._places = False, []
 
-    def difference(self, before: Key, now: Key) -> str:
-        """Return the label of a slot that has different values in the CUDA graph keys ``before`` and ``now``."""
-        known = {number: settings for settings, (number, _) in self._known.items()}
-        pairs = [*zip(self._settings, known.get(before[0], ()), known.get(now[0], ()), strict=False)]
-        pairs += zip(self._flags.values(), before[1], now[1], strict=False)
-        return next((slot.label for slot, was, value in pairs if was != value), "the set of values")
+    def _compare_settings(self) -> None:
+        """Set ``_settings_id``, which identifies the combination of the settings' values.
 
-    def _check(self) -> None:
-        """Set ``_number``, which identifies the combination of the settings' values.
-
-        Most calls find no change and must be fast, so ``_check`` first compares the identities of the values.
+        Most calls find no change and must be fast, so first compare the identities of the values.
         """
-        before = self._present
         try:
             now = [holder[key] for holder, key in self._places]
-            is_same = bool(self._settings) and not any([len(one) != size for one, size in self._sizes])
+            is_known = bool(now) and not any([len(one) != size for one, size in self._sizes])
         except LookupError:
-            is_same = False
-        if is_same and all(map(operator.is_, now, before)):
+            is_known = False
+        if is_known and all(map(operator.is_, now, self._present)):
             return
-        # Find the settings again if code has changed the size of a dictionary or list, or has replaced one.
-        containers = (number for number, was in enumerate(before) if isinstance(was, (dict, list)))
-        if not is_same or any(now[number] is not before[number] for number in containers):
-            self._find_settings()
-            now = [slot.value for slot in self._settings]
-        self._present = now
-        settings = tuple([kind_of(value) for value in now])
-        # Re-insert the used entry at the end of ``_known``, so that the first entry is the least recently used one. The
-        # values are stored, too, because a key contains the ids of some of them.
-        self._number = self._known.pop(settings, (next(self._numbers), now))[0]
-        self._known[settings] = self._number, now
-        if len(self._known) > _MOST_KNOWN:
-            del self._known[next(iter(self._known))]
+        # Find the settings again if code has replaced a dictionary or list, or changed its size.
+        pairs = zip(now, self._present, strict=True) if is_known else ()
+        if not is_known or any(new is not old and isinstance(new, (dict, list)) for new, old in pairs):
+            settings = [slot for slot in self.slots() if slot.id not in self._flags and not slot.has_buffers]
+            self._places, self._labels = [slot[:2] for slot in settings], [slot.label for slot in settings]
+            now, self._kinds = [slot.value for slot in settings], ()
+            self._sizes = [(value, len(value)) for value in now if isinstance(value, (dict, list))]
+        kinds = tuple(map(kind_of, now))
+        changes = zip(self._labels, self._kinds, kinds, strict=False)
+        self.changed = next((label for label, old, new in changes if old != new), self.changed)
+        self._present, self._kinds = now, kinds
+        # The values are stored, too, because ``kinds`` contains the ids of some of them.
+        if len(self._known) >= _MOST_KNOWN:
+            self._known.clear()
+        self._settings_id = self._known.setdefault(kinds, (object(), now))[0]
 
-    def _find_settings(self) -> None:
-        self._settings, self._sizes = [], []
-        for slot in self.slots():
-            value = slot.value
-            is_buffer = isinstance(value, torch.Tensor) or (slot.is_buffer and isinstance(value, (dict, list)))
-            if slot.id not in self._flags and not is_buffer:
-                self._settings.append(slot)
-                self._sizes += [(value, len(value))] if isinstance(value, (dict, list)) else []
-        self._places = [(slot.holder, slot.key) for slot in self._settings]
-
-    def move_rebound(self, found: Iterable[Slot]) -> None:
+    def share_statics(self) -> None:
         """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
-            for slot in (slot for slot in found if slot.id in self.rebound):
-                value, static = slot.value, self._statics.get(slot.id)
-                if isinstance(value, torch.Tensor) and static is not value:
-                    if static is not None and _fits(static, value):
-                        static.copy_(value.clone())
-                    else:
-                        static = self._statics[slot.id] = value.detach().clone()
+            for slot in self.slots():
+                if slot.id in self.statics and isinstance(slot.value, torch.Tensor):
+                    static = self.statics[slot.id]
+                    if static is None or kind_of(static) != kind_of(slot.value):
+                        static = self.statics[slot.id] = slot.value.detach().clone()
+                    elif static is not slot.value:
+                        static.copy_(slot.value.clone())
                     slot.holder[slot.key] = static
 
 
@@ -282,19 +295,12 @@ class TouchedMemory(TorchDispatchMode):
         return result
 
 
-def form_of(value: object) -> object:
-    """Return the shape, dtype, and device of a tensor; return a value of another type unchanged."""
-    return (value.shape, value.dtype, value.device) if isinstance(value, torch.Tensor) else value
-
-
-def _fits(value: object, old: torch.Tensor) -> TypeGuard[torch.Tensor]:
-    return isinstance(value, torch.Tensor) and form_of(value) == form_of(old)
-
-
 def kind_of(value: object) -> object:
-    """Return what a CUDA graph depends on in a value: its type, and a plain value or the form of a tensor."""
-    if is_plain(value) or isinstance(value, torch.Tensor):
-        return type(value), form_of(value)
+    """Return what a CUDA graph depends on in a value: its type, and the plain value or the form of the tensor."""
+    if isinstance(value, torch.Tensor):
+        return type(value), value.shape, value.dtype, value.device
+    if is_plain(value):
+        return type(value), value
     return id(value) if isinstance(value, tuple) else type(value)
 
 
@@ -309,14 +315,6 @@ def _frame(value: object) -> object:
         return len(value)
     has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
     return None if has_slot else snapshot(value)
-
-
-def _copy(pairs: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:
-    """Copy the second tensor of each pair into the first; tensors of different pairs may share memory."""
-    targets = {_address(static) for static, _ in pairs}
-    copies = [(static, now.clone() if _address(now) in targets else now) for static, now in pairs]
-    for static, now in copies:
-        static.copy_(now)
 
 
 class GraphCapture:
@@ -342,12 +340,8 @@ class GraphCapture:
     def run(self, method: Callable[..., object], args: tuple[object, ...], *, to_caller: bool) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
         env = self._env
-        name = method.__name__
-        if name not in self.parts:
-            resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
-            work, caches, streams = functools.partial(method, env), env.scene.robot.data.invalidate, env.streams.all
-            self.parts[name] = CapturedPart(work, self.values, self._make_graph, caches, streams, resets)
-        part = self.parts[name]
+        part = self.parts.get(method.__name__) or self._add(method, args)
+        env.scene.robot.data.invalidate()
         found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
             ids = cast(torch.Tensor, args[0])
@@ -357,51 +351,53 @@ class GraphCapture:
                 self.values.is_checked &= not manager.active_terms
         return cloned(found) if to_caller else found
 
+    def _add(self, method: Callable[..., object], args: tuple[object, ...]) -> CapturedPart:
+        env = self._env
+
+        @functools.wraps(method)
+        def work(*args: object) -> object:
+            env.scene.robot.data.invalidate()  # A failed capture fills the caches with tensors that nothing computed.
+            return method(env, *args)
+
+        resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
+        part = CapturedPart(work, self.values, self._make_graph, env.streams.all, resets)
+        self.parts[method.__name__] = part
+        return part
+
 
 @dataclass
 class Recording:
     """A recorded CUDA graph of a method, and the declared values that each replay reads and assigns.
 
     Attributes:
-        buffers: the slots of the tensors that the method reads or writes, and the CUDA graph's tensor for each slot.
-        containers: the slots of the dictionaries and lists that hold these slots, and these dictionaries and lists.
-        assigned: the places to which the method assigns a value: the holder, the key, and the value.
         output: the result of the method, in the memory of the CUDA graph.
-        removed: the dictionary entries that the method deletes: the dictionary and the key.
-        tuples: the values whose ids are part of the recording's key, so that no other value gets the same id.
+        buffers: the slots of the tensors that the method reads or writes, with the CUDA graph's tensors as values.
+        fixed: the slots that must still have their values: tensors that share memory, and containers of buffers.
+        assigned: the slots to which the method assigns values.
+        removed: the slots of the dictionary entries that the method deletes.
         used: the number of the method's call that last used the CUDA graph.
     """
 
     graph: CudaGraph
     inputs: list[object]
-    buffers: list[tuple[Slot, torch.Tensor]]
-    containers: list[tuple[Slot, object]]
-    assigned: list[tuple[Any, Any, object]]
     output: Any
-    removed: list[tuple[Any, Any]]
-    tuples: list[object]
+    buffers: list[Slot]
+    fixed: list[Slot]
+    assigned: list[Slot]
+    removed: list[Slot]
     used: int = 0
-
-    def __post_init__(self) -> None:
-        counts = Counter(_address(static) for _, static in self.buffers)
-        # Other values cannot be copied into a tensor whose memory several slots use.
-        self._shared = {id(static) for _, static in self.buffers if counts[_address(static)] > 1}
 
     def load(self, args: tuple[object, ...]) -> Slot | None:
         """Copy buffers and arguments to the CUDA graph's tensors; return a slot whose value does not fit."""
-        for slot, container in self.containers:
-            if slot.value is not container:
-                return slot
         try:
-            moved = [(slot, own, now) for slot, own in self.buffers if (now := slot[0][slot[1]]) is not own]
+            unfit = [slot for slot in self.fixed if slot[0][slot[1]] is not slot[2]]
+            moved = [slot for slot in self.buffers if slot[0][slot[1]] is not slot[2]]
         except LookupError:
-            return next(slot for slot, _ in self.buffers if slot.value is None)
-        for slot, own, now in moved:
-            if id(own) in self._shared or not _fits(now, own):
-                return slot
-        _copy([(own, now) for _, own, now in moved])
-        for slot, own, _ in moved:
-            slot.holder[slot.key] = own
+            return next(slot for slot in (*self.fixed, *self.buffers) if slot.now is None)
+        if unfit := unfit or [slot for slot in moved if not slot.has_other_tensor]:
+            return unfit[0]
+        if moved:
+            keep_tensors(moved)
         for arg, now in zip(self.inputs, args, strict=True):
             if isinstance(arg, torch.Tensor) and isinstance(now, torch.Tensor):
                 arg.copy_(now)
@@ -410,9 +406,9 @@ class Recording:
     def replay(self) -> Any:
         """Replay the CUDA graph, and repeat the method's assignments, which are not part of the graph."""
         self.graph.replay()
-        for holder, key in self.removed:
-            holder.pop(key, None)
-        for holder, key, value in self.assigned:
+        for slot in self.removed:
+            slot.holder.pop(slot.key, None)
+        for holder, key, value, *_ in self.assigned:
             holder[key] = value
         return self.output
 
@@ -424,7 +420,6 @@ class CapturedPart:
     Attributes:
         work: the method to capture, which returns tensors.
         values: the environment's declared values, which all methods captured from one environment share.
-        reset_caches: deletes the robot's cached quantities before each run of the method or replay of a CUDA graph.
         streams: returns all random generators of the environment.
         is_reset: whether ``work`` resets any number of environments, and returns a dictionary of logged numbers.
         fails: whether the method runs without CUDA graphs from now on.
@@ -434,7 +429,6 @@ class CapturedPart:
     work: Callable[..., Any]
     values: Values
     make_graph: Callable[[Sequence[torch.Generator]], CudaGraph]
-    reset_caches: Callable[[], None] = lambda: None
     streams: Callable[[], Sequence[torch.Generator]] = list
     is_reset: bool = False
     fails: bool = field(default=False, init=False)
@@ -442,60 +436,65 @@ class CapturedPart:
 
     def __post_init__(self) -> None:
         self._room = _RESET_RECORDINGS if self.is_reset else _RECORDINGS
+        self._patience = _CALLS_PER_RECORDING * self._room
         self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
-        self._calls = self._mismatches = self._missed = 0
+        self._calls = self._missed = 0
         self._checked = set[Key]()
-        self._drawn: list[torch.Generator] = []
-        self._last: Key = (-1, ())
+        self._drawn = set[torch.Generator]()
 
     def __call__(self, *args: object) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
-        self.reset_caches()
         if self.fails:
             return self._run(args)
         self._calls += 1
         state = self.values.key()
-        key = (*(form_of(arg) for arg in args), *state)
+        key = (*map(kind_of, args), *state)
         recording = self.recordings.pop(key, None)
         if recording is None:
-            # Re-insert the key at the end of ``_times``, and forget the least recently used key.
-            times = self._times[key] = self._times.pop(key, 0) + 1
-            if len(self._times) > _CALLS_PER_RECORDING * self._room:
-                del self._times[next(iter(self._times))]
-            is_due = times >= _RUNS_BEFORE_CAPTURE or (self._calls >= _RUNS_BEFORE_CAPTURE and not self._checked)
-            if is_due and state not in self._checked:
+            times = self._count(key)
+            if state not in self._checked and self._calls > 1 and (times > 1 or not self._checked):
                 return self._run_checked(args, state)
-            is_full = len(self.recordings) >= self._room
-            oldest = next(iter(self.recordings.values())).used if is_full else 0
-            has_room = not is_full or self._calls - oldest > _CALLS_PER_RECORDING * self._room
-            if times <= _RUNS_BEFORE_CAPTURE or not has_room:
-                self._missed += 1
-                if self._missed == _MANY:
-                    self._warn(f"{self.values.difference(self._last, state)} changes again and again")
-                self._last = self._last if self.recordings else state
-                return self._run(args)
+            if times <= _RUNS_BEFORE_CAPTURE or not self._has_room():
+                return self._run_missed(args)
             recording = self._try_to_record(args)
             if recording is None:
-                self.reset_caches()
                 return self._run(args)
             del self._times[key]
-            if is_full:
-                del self.recordings[next(iter(self.recordings))]
         elif unfit := recording.load(args):
             self.values.add_flags([unfit])
-            self._mismatches += 1
-            if self._mismatches > _MOST_MISMATCHES:
-                self._give_up(f"{unfit.label} holds other memory again and again")
-            return self._run(args)
+            self._times[key] = -_RUNS_AFTER_MISMATCH
+            return self._run_missed(args)
         self.recordings[key], recording.used = recording, self._calls
         self._missed -= self._missed > 0
-        self._last = state
         output = recording.replay()
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
+
+    def _count(self, key: Key) -> int:
+        """Return how often a key without a recording occurred, and forget the least recently used key."""
+        times = self._times[key] = self._times.pop(key, 0) + 1
+        if len(self._times) > self._patience:
+            del self._times[next(iter(self._times))]
+        return times
+
+    def _has_room(self) -> bool:
+        """Return whether one more CUDA graph may be recorded; delete one that was not used for long if necessary."""
+        if len(self.recordings) >= self._room:
+            oldest = next(iter(self.recordings))
+            if self._calls - self.recordings[oldest].used <= self._patience:
+                return False
+            del self.recordings[oldest]
+        return True
 
     def _run(self, args: tuple[object, ...]) -> object:
         self.values.is_checked = False  # Python code may change any attribute of the environment.
         return self.work(*args)
+
+    def _run_missed(self, args: tuple[object, ...]) -> object:
+        self._missed += 1
+        if self._missed == _MANY:
+            changed = "the number of environments or a setting" if self.is_reset else self.values.changed
+            self._warn(f"{changed} changes again and again")
+        return self._run(args)
 
     def _give_up(self, reason: str) -> None:
         if not self.fails:
@@ -504,22 +503,21 @@ class CapturedPart:
             self._warn(reason)
 
     def _warn(self, reason: str) -> None:
-        name = getattr(getattr(self.work, "func", self.work), "__name__", "part").strip("_")
+        name = self.work.__name__.strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         values = self.values
-        before = [(slot, slot.value, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
+        before = [(slot, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
         undeclared = UndeclaredChanges(values.root, with_root=True)
         streams = [(stream, stream.get_state()) for stream in self.streams()]
         found = self._run(args)
-        moved = [stream for stream, was in streams if not torch.equal(stream.get_state(), was)]
-        self._drawn += [stream for stream in moved if not any(stream is known for known in self._drawn)]
-        for slot, was, frame in before:
-            now = slot.value
-            if isinstance(was, torch.Tensor) and now is not was and _fits(now, was):
-                values.rebound.add(slot.id)
+        self._drawn |= {stream for stream, was in streams if not torch.equal(stream.get_state(), was)}
+        for slot, frame in before:
+            was, now = slot.value, slot.now
+            if slot.has_other_tensor:
+                values.statics.setdefault(slot.id)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
                 self._give_up(f"{slot.label} counts; use a buffer that is changed in place")
             elif not slot.is_buffer and not same(_frame(now), frame):
@@ -534,7 +532,7 @@ class CapturedPart:
     def _try_to_record(self, args: tuple[object, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
         # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
-        for streams in (self._drawn, self.streams()):
+        for streams in ([*self._drawn], self.streams()):
             try:
                 return self._record(args, self.make_graph(streams))
             except (RuntimeError, SimulationFailure) as error:
@@ -546,9 +544,10 @@ class CapturedPart:
 
     def _record(self, args: tuple[object, ...], graph: CudaGraph) -> Recording:
         values = self.values
-        values.move_rebound(values.slots())
-        before = {slot.id: (slot, slot.value) for slot in values.slots()}
-        tensors = [(slot, value) for slot, value in before.values() if isinstance(value, torch.Tensor)]
+        values.share_statics()
+        before = values.slots()
+        earlier = {slot.id: slot.value for slot in before}
+        tensors = [slot for slot in before if isinstance(slot.value, torch.Tensor)]
         with torch.inference_mode(False):
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
         touched, outputs = TouchedMemory(), list[Any]()
@@ -562,11 +561,8 @@ class CapturedPart:
                         raise RuntimeError("the log of a reset must contain only tensors, but contains another value")
                     result = list(result), torch.stack([value.reshape(()) for value in result.values()])
                 outputs.append(result)
-                # Each replay reads and writes the same memory, so slots must keep their tensors: copy new values there.
-                moved = [(slot, old, now) for slot, old in tensors if _fits(now := slot.value, old) and now is not old]
-                _copy([(old, now) for _, old, now in moved])
-                for slot, old, _ in moved:
-                    slot.holder[slot.key] = old
+                # Each replay reads and writes the same memory, so slots must keep their tensors.
+                keep_tensors([slot for slot in tensors if slot.has_other_tensor])
 
         try:
             graph.record(work)
@@ -574,23 +570,24 @@ class CapturedPart:
             # Restore all values, because a failed capture has assigned tensors whose values no kernel has computed.
             for slot in reversed(values.slots()):
                 is_attribute = isinstance(slot.holder, dict) and "_declared" in slot.holder
-                if slot.id not in before and not is_attribute:
+                if slot.id not in earlier and not is_attribute:
                     del slot.holder[slot.key]
-            for slot, value in before.values():
-                slot.holder[slot.key] = value
+            for slot in before:
+                slot.holder[slot.key] = slot.value
             raise
-        values.add_flags(slot for slot, value in before.values() if kind_of(value) != kind_of(slot.value))
-        after = values.slots()
-        changed = [s for s in after if s.id not in before or before[s.id][1] is not s.value]
-        removed = [
-            (s.holder, s.key) for s, _ in before.values() if isinstance(s.holder, dict) and s.key not in s.holder
-        ]
-        tuples: list[object] = [value for _, value in before.values() if isinstance(value, tuple)]
-        assigned = [(slot.holder, slot.key, slot.value) for slot in changed]
-        memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in changed]))
-        buffers = [(slot, value) for slot, value in tensors if _address(value) in memory]
-        holders = {id(slot.holder) for slot, _ in buffers}
-        containers = [(slot, value) for slot, value in before.values() if id(value) in holders]
+        values.add_flags(slot for slot in before if kind_of(slot.value) != kind_of(slot.now))
+        assigned = [slot for slot in values.slots() if slot.id not in earlier or earlier[slot.id] is not slot.value]
+        removed = [slot for slot in before if isinstance(slot.holder, dict) and slot.key not in slot.holder]
+        memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in assigned]))
+        buffers = [slot for slot in tensors if _address(slot.value) in memory]
+        # Other values cannot be copied into a tensor whose memory several slots use.
+        uses = Counter(_address(slot.value) for slot in buffers)
+        shared = {id(slot.value) for slot in buffers if uses[_address(slot.value)] > 1}
+        containers = {id(slot.holder) for slot in buffers}
+        # The recording stores tuples whose ids are part of its key, so that no other tuple gets the same id.
+        tuples = {id(slot.value) for slot in before if kind_of(slot.value) == id(slot.value)}
+        fixed = [slot for slot in before if id(slot.value) in shared | containers | tuples]
+        buffers = [slot for slot in buffers if id(slot.value) not in shared]
         # Copy the containers of the output, but not its tensors: the method may change its containers later.
         output = tree_map(lambda leaf: leaf, outputs[0])
-        return Recording(graph, inputs, buffers, containers, assigned, output, removed, tuples)
+        return Recording(graph, inputs, output, buffers, fixed, assigned, removed)
