@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from unittest import mock
 
 import torch
@@ -64,7 +65,8 @@ def make_part(work, term, *, make_graph=Tape):
     """Return a captured part of a term, and a function that compares the settings and then runs the part."""
     register_undeclared(term)
     values = Values(term)
-    part = CapturedPart(work, values, make_graph)
+    capture = SimpleNamespace(values=values, make_graph=make_graph, streams=list, clear_caches=lambda: None)
+    part = CapturedPart(capture, work)
 
     def run(*args):
         values.is_checked = False

@@ -169,11 +169,16 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         if self.autoreset != "same_step":
             ended = ids_where(torch.zeros_like(done) if skipped is None else skipped)
         self._reset_ended(ended)
-        self._advance_commands(self.command_manager.may_draw(self.step_dt))
+        if self.command_manager.may_draw(self.step_dt):
+            self._advance_commands(draws=True)
+        else:
+            self._advance_without_draws()
         if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:
             self._settings_may_have_changed()
         self.scene.show_written()
         observations = self._observe()
+        if self.graph_capture is not None:
+            observations = cloned(observations)  # The next replay overwrites the memory of the CUDA graph.
         if self.autoreset == "same_step":
             # If ``autoreset`` is ``next_step`` or ``disabled``, observations of failed environments can be NaN.
             require_finite_observations(self, is_noted=True)
@@ -230,7 +235,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         require_finite_observations(self, only)
         return observations, self.extras
 
-    @captured_part()
+    @captured_part
     def _act(self, action: torch.Tensor) -> None:
         """Process the action, and write the controls for the control step's first physics step."""
         self.action_manager.process_action(action)
@@ -239,7 +244,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.action_manager.apply_action()
         self.scene.write_data_to_sim()
 
-    @captured_part()
+    @captured_part
     def _update_and_act(self) -> None:
         """Read the result of a physics step, and apply the control step's action for the next physics step."""
         self.scene.update()
@@ -247,7 +252,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.action_manager.apply_action()
         self.scene.write_data_to_sim()
 
-    @captured_part()
+    @captured_part
     def _update_and_terminate(self, skipped: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
         """Read the last physics step's result; return masks (N,) of the ended episodes and the failed simulations."""
         self.scene.update()
@@ -257,7 +262,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             unstable = unstable & ~skipped
         return done | unstable, unstable
 
-    @captured_part()
+    @captured_part
     def _compute_reward(self, skipped: torch.Tensor | None) -> torch.Tensor:
         """Compute ``reward_buf``; return a mask (N,) of the environments whose reward is NaN or inf."""
         self.reward_buf = self.reward_manager.compute(self.step_dt, skipped)
@@ -309,7 +314,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.extras["log"] = self._reset_rows(env_ids, env_ids[env_ids >= self.exact_envs] if self.exact_envs else None)
         self.extras["log_is_fresh"] = True
 
-    @captured_part()
+    @captured_part
     def _reset_rows(self, env_ids: torch.Tensor, with_errors: torch.Tensor | None) -> dict[str, object]:
         """Reset the simulations and the managers of ``env_ids``; return the log of the episodes that ended.
 
@@ -323,13 +328,16 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self.episode_length_buf.index_fill_(0, env_ids, 0)
         return log
 
-    @captured_part(in_python=bool)
+    @captured_part
+    def _advance_without_draws(self) -> None:
+        self._advance_commands(draws=False)
+
     def _advance_commands(self, draws: bool) -> None:
         """Advance the commands and the timers of interval events; draw new commands where their timer expired."""
         self.command_manager.compute(self.step_dt, draws)
         self.event_manager.advance_timers(self.step_dt)
 
-    @captured_part(to_caller=True)
+    @captured_part
     def _observe(self) -> Observations:
         observations: Observations = self.observation_manager.compute()
         if self.autoreset == "same_step":

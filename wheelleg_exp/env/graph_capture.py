@@ -23,9 +23,10 @@ import operator
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Number
-from typing import Any, NamedTuple, Protocol, TypeVar, cast
+from types import MethodType
+from typing import Any, NamedTuple, TypeVar, cast
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -34,8 +35,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 from wheelleg_exp.env.undeclared import UndeclaredChanges
 from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.managers.manager_base import Term
-from wheelleg_exp.managers.term_interface import Env
-from wheelleg_exp.state import Stateful, cloned, tree
+from wheelleg_exp.state import Stateful, tree
 from wheelleg_exp.state.stateful import declarations
 from wheelleg_exp.state.values import PLAIN, same, snapshot
 
@@ -55,32 +55,14 @@ Key = tuple[Any, ...]
 Method = TypeVar("Method", bound=Callable[..., object])
 
 
-class CapturedEnv(Env, Protocol):
-    """An environment of whose step parts can be captured."""
+def captured_part(method: Method) -> Method:
+    """Mark a method of the environment's step that may be captured as a CUDA graph."""
 
-    graph_capture: GraphCapture | None
-    reset_order: list[Any]
+    @functools.wraps(method)
+    def run(env: Any, *args: object) -> object:
+        return method(env, *args) if env.graph_capture is None else env.graph_capture.run(method, args)
 
-
-def captured_part(
-    *, to_caller: bool = False, in_python: Callable[..., bool] | None = None
-) -> Callable[[Method], Method]:
-    """Mark a method of the environment's step that may be captured as a CUDA graph.
-
-    If ``to_caller`` is true, the environment returns the result to its caller, so ``GraphCapture`` copies the result
-    out of the CUDA graph's memory. If ``in_python`` returns True for the arguments, the method runs as Python code.
-    """
-
-    def decorate(method: Method) -> Method:
-        @functools.wraps(method)
-        def run(env: CapturedEnv, *args: object) -> object:
-            if env.graph_capture is None or (in_python is not None and in_python(*args)):
-                return method(env, *args)
-            return env.graph_capture.run(method, args, to_caller=to_caller)
-
-        return cast(Method, run)
-
-    return decorate
+    return cast(Method, run)
 
 
 class CudaGraph:
@@ -320,16 +302,14 @@ def _frame(value: object) -> object:
 class GraphCapture:
     """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
 
-    def __init__(
-        self, env: CapturedEnv, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph
-    ) -> None:
+    def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
         # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
         self._reset_later: list[Any] = [env.curriculum_manager, env.recorder_manager]
         env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
-        self._env, self._make_graph = env, make_graph
-        self.values = Values(env)
+        self._env, self.make_graph, self.values = env, make_graph, Values(env)
+        self.streams, self.clear_caches = env.streams.all, env.scene.robot.data.invalidate
         self.parts: dict[str, CapturedPart] = {}
 
     @property
@@ -337,32 +317,21 @@ class GraphCapture:
         """The number of recorded CUDA graphs of all captured methods."""
         return sum(len(part.recordings) for part in self.parts.values())
 
-    def run(self, method: Callable[..., object], args: tuple[object, ...], *, to_caller: bool) -> object:
+    def run(self, method: Callable[..., object], args: tuple[object, ...]) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
-        env = self._env
-        part = self.parts.get(method.__name__) or self._add(method, args)
-        env.scene.robot.data.invalidate()
+        env, name = self._env, method.__name__
+        if name not in self.parts:
+            is_reset = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
+            self.parts[name] = CapturedPart(self, MethodType(method, env), is_reset)
+        part = self.parts[name]
+        self.clear_caches()
         found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
-            ids = cast(torch.Tensor, args[0])
-            env.scene.robot.mark_written(ids)
+            env.scene.robot.mark_written(args[0])
             for manager in self._reset_later:
-                found.update(manager.reset(ids))
+                found.update(manager.reset(args[0]))
                 self.values.is_checked &= not manager.active_terms
-        return cloned(found) if to_caller else found
-
-    def _add(self, method: Callable[..., object], args: tuple[object, ...]) -> CapturedPart:
-        env = self._env
-
-        @functools.wraps(method)
-        def work(*args: object) -> object:
-            env.scene.robot.data.invalidate()  # A failed capture fills the caches with tensors that nothing computed.
-            return method(env, *args)
-
-        resets = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
-        part = CapturedPart(work, self.values, self._make_graph, env.streams.all, resets)
-        self.parts[method.__name__] = part
-        return part
+        return found
 
 
 @dataclass
@@ -413,29 +382,20 @@ class Recording:
         return self.output
 
 
-@dataclass
 class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it.
 
     Attributes:
-        work: the method to capture, which returns tensors.
-        values: the environment's declared values, which all methods captured from one environment share.
-        streams: returns all random generators of the environment.
-        is_reset: whether ``work`` resets any number of environments, and returns a dictionary of logged numbers.
+        is_reset: whether the method resets any number of environments, and returns a dictionary of logged numbers.
         fails: whether the method runs without CUDA graphs from now on.
         recordings: the CUDA graphs by their keys; the first one is the least recently used one.
     """
 
-    work: Callable[..., Any]
-    values: Values
-    make_graph: Callable[[Sequence[torch.Generator]], CudaGraph]
-    streams: Callable[[], Sequence[torch.Generator]] = list
-    is_reset: bool = False
-    fails: bool = field(default=False, init=False)
-    recordings: dict[Key, Recording] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        self._room = _RESET_RECORDINGS if self.is_reset else _RECORDINGS
+    def __init__(self, capture: GraphCapture, method: Callable[..., Any], is_reset: bool = False) -> None:
+        self._capture, self._values, self._method, self.is_reset = capture, capture.values, method, is_reset
+        self.fails = False
+        self.recordings: dict[Key, Recording] = {}
+        self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
         self._patience = _CALLS_PER_RECORDING * self._room
         self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
         self._calls = self._missed = 0
@@ -443,38 +403,34 @@ class CapturedPart:
         self._drawn = set[torch.Generator]()
 
     def __call__(self, *args: object) -> object:
-        """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
+        """Run the method, or replay a CUDA graph that was recorded from the method."""
         if self.fails:
             return self._run(args)
         self._calls += 1
-        state = self.values.key()
+        state = self._values.key()
         key = (*map(kind_of, args), *state)
         recording = self.recordings.pop(key, None)
+        if recording is not None and (unfit := recording.load(args)):
+            self._values.add_flags([unfit])
+            self._times[key], recording = -_RUNS_AFTER_MISMATCH, None
         if recording is None:
-            times = self._count(key)
+            times = self._times[key] = self._times.pop(key, 0) + 1
+            if len(self._times) > self._patience:
+                del self._times[next(iter(self._times))]
             if state not in self._checked and self._calls > 1 and (times > 1 or not self._checked):
                 return self._run_checked(args, state)
-            if times <= _RUNS_BEFORE_CAPTURE or not self._has_room():
-                return self._run_missed(args)
-            recording = self._try_to_record(args)
+            recording = self._try_to_record(args) if times > _RUNS_BEFORE_CAPTURE and self._has_room() else None
             if recording is None:
+                self._missed += 1
+                if self._missed == _MANY:
+                    changed = "the number of environments or a setting" if self.is_reset else self._values.changed
+                    self._warn(f"{changed} changes again and again")
                 return self._run(args)
             del self._times[key]
-        elif unfit := recording.load(args):
-            self.values.add_flags([unfit])
-            self._times[key] = -_RUNS_AFTER_MISMATCH
-            return self._run_missed(args)
         self.recordings[key], recording.used = recording, self._calls
         self._missed -= self._missed > 0
         output = recording.replay()
         return dict(zip(output[0], output[1].clone().unbind(), strict=True)) if self.is_reset else output
-
-    def _count(self, key: Key) -> int:
-        """Return how often a key without a recording occurred, and forget the least recently used key."""
-        times = self._times[key] = self._times.pop(key, 0) + 1
-        if len(self._times) > self._patience:
-            del self._times[next(iter(self._times))]
-        return times
 
     def _has_room(self) -> bool:
         """Return whether one more CUDA graph may be recorded; delete one that was not used for long if necessary."""
@@ -486,15 +442,8 @@ class CapturedPart:
         return True
 
     def _run(self, args: tuple[object, ...]) -> object:
-        self.values.is_checked = False  # Python code may change any attribute of the environment.
-        return self.work(*args)
-
-    def _run_missed(self, args: tuple[object, ...]) -> object:
-        self._missed += 1
-        if self._missed == _MANY:
-            changed = "the number of environments or a setting" if self.is_reset else self.values.changed
-            self._warn(f"{changed} changes again and again")
-        return self._run(args)
+        self._values.is_checked = False  # Python code may change any attribute of the environment.
+        return self._method(*args)
 
     def _give_up(self, reason: str) -> None:
         if not self.fails:
@@ -503,15 +452,15 @@ class CapturedPart:
             self._warn(reason)
 
     def _warn(self, reason: str) -> None:
-        name = self.work.__name__.strip("_")
+        name = self._method.__name__.strip("_")
         warnings.warn(f"the part '{name}' of the step runs without a CUDA graph: {reason}", stacklevel=5)
 
     def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
-        values = self.values
+        values = self._values
         before = [(slot, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
         undeclared = UndeclaredChanges(values.root, with_root=True)
-        streams = [(stream, stream.get_state()) for stream in self.streams()]
+        streams = [(stream, stream.get_state()) for stream in self._capture.streams()]
         found = self._run(args)
         self._drawn |= {stream for stream, was in streams if not torch.equal(stream.get_state(), was)}
         for slot, frame in before:
@@ -532,9 +481,9 @@ class CapturedPart:
     def _try_to_record(self, args: tuple[object, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
         # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
-        for streams in ([*self._drawn], self.streams()):
+        for streams in ([*self._drawn], self._capture.streams()):
             try:
-                return self._record(args, self.make_graph(streams))
+                return self._record(args, self._capture.make_graph(streams))
             except (RuntimeError, SimulationFailure) as error:
                 if not isinstance(error, RuntimeError) and not isinstance(error.__cause__, RuntimeError):
                     raise
@@ -543,7 +492,7 @@ class CapturedPart:
         return None
 
     def _record(self, args: tuple[object, ...], graph: CudaGraph) -> Recording:
-        values = self.values
+        values = self._values
         values.share_statics()
         before = values.slots()
         earlier = {slot.id: slot.value for slot in before}
@@ -554,7 +503,7 @@ class CapturedPart:
 
         def work() -> None:
             with touched:
-                result = self.work(*inputs)
+                result = self._method(*inputs)
                 if self.is_reset:
                     # Stack the logged numbers of a reset, because one tensor is faster to copy than many tensors.
                     if not all(isinstance(value, torch.Tensor) for value in result.values()):
@@ -574,6 +523,7 @@ class CapturedPart:
                     del slot.holder[slot.key]
             for slot in before:
                 slot.holder[slot.key] = slot.value
+            self._capture.clear_caches()
             raise
         values.add_flags(slot for slot in before if kind_of(slot.value) != kind_of(slot.now))
         assigned = [slot for slot in values.slots() if slot.id not in earlier or earlier[slot.id] is not slot.value]
