@@ -114,7 +114,7 @@ class Slot(NamedTuple):
     key: Any
     value: Any
     label: str
-    is_buffer: bool
+    holds_tensors: bool
 
     @property
     def id(self) -> tuple[int, object]:
@@ -135,16 +135,13 @@ class Slot(NamedTuple):
         value, now = self.value, self.now
         return isinstance(value, torch.Tensor) and now is not value and kind_of(now) == kind_of(value)
 
-    @property
-    def has_buffers(self) -> bool:
-        """Whether the value is a tensor, or a dictionary or list of buffers."""
-        return isinstance(self.value, torch.Tensor) or (self.is_buffer and isinstance(self.value, (dict, list)))
-
 
 def _slots_in(holder: Any, key: object, name: str, owner: str, is_buffer: bool) -> Iterator[Slot]:
     value = holder[key]
-    yield Slot(holder, key, value, f"'{name}' of {owner}", is_buffer)
-    if isinstance(value, (dict, list)):
+    is_container = isinstance(value, (dict, list))
+    holds_tensors = isinstance(value, torch.Tensor) or (is_buffer and is_container)
+    yield Slot(holder, key, value, f"'{name}' of {owner}", holds_tensors)
+    if is_container:
         for inner in list(value) if isinstance(value, dict) else range(len(value)):
             yield from _slots_in(value, inner, f"{name}.{inner}", owner, is_buffer)
 
@@ -169,21 +166,17 @@ class Values:
         is_checked: whether no code that may change settings has run since the settings were last compared.
         statics: the tensors that all CUDA graphs use for the slots to which captured methods assign tensors, by the ids
             of these slots; None for a slot that no CUDA graph uses yet.
-        changed: the label of a slot whose value has changed recently.
     """
 
     def __init__(self, root: object) -> None:
         self.root = root
         self.is_checked = False
         self.statics: dict[tuple[int, object], torch.Tensor | None] = {}
-        self.changed = "the set of values"
         self._flags: dict[tuple[int, object], Slot] = {}
         self._places: list[tuple[Any, Any]] = []  # the holder and the key of each setting
-        self._labels: list[str] = []
         self._present: list[object] = []
-        self._kinds: Key = ()
         self._sizes: list[tuple[Sized, int]] = []
-        self._known: dict[Key, tuple[object, list[object]]] = {}
+        self._identify = functools.lru_cache(_MOST_KNOWN)(lambda _: object())
 
     def slots(self) -> list[Slot]:
         """Return the slots of the environment and its parts, except event terms whose mode is not ``reset``."""
@@ -206,11 +199,9 @@ class Values:
 
     def add_flags(self, found: Iterable[Slot]) -> None:
         """Include the slots ``found`` in the keys of CUDA graphs. CUDA graphs with older keys are used no more."""
-        for slot in found:
-            self.changed = slot.label
-            if slot.id not in self._flags:
-                self._flags[slot.id] = slot
-                self.is_checked, self._places = False, []
+        if new := {slot.id: slot for slot in found if slot.id not in self._flags}:
+            self._flags |= new
+            self.is_checked, self._places = False, []
 
     def _compare_settings(self) -> None:
         """Set ``_settings_id``, which identifies the combination of the settings' values.
@@ -227,31 +218,21 @@ class Values:
         # Find the settings again if code has replaced a dictionary or list, or changed its size.
         pairs = zip(now, self._present, strict=True) if is_known else ()
         if not is_known or any(new is not old and isinstance(new, (dict, list)) for new, old in pairs):
-            settings = [slot for slot in self.slots() if slot.id not in self._flags and not slot.has_buffers]
-            self._places, self._labels = [slot[:2] for slot in settings], [slot.label for slot in settings]
-            now, self._kinds = [slot.value for slot in settings], ()
+            settings = [slot for slot in self.slots() if slot.id not in self._flags and not slot.holds_tensors]
+            self._places, now = [slot[:2] for slot in settings], [slot.value for slot in settings]
             self._sizes = [(value, len(value)) for value in now if isinstance(value, (dict, list))]
-        kinds = tuple(map(kind_of, now))
-        changes = zip(self._labels, self._kinds, kinds, strict=False)
-        self.changed = next((label for label, old, new in changes if old != new), self.changed)
-        self._present, self._kinds = now, kinds
-        # The values are stored, too, because ``kinds`` contains the ids of some of them.
-        if len(self._known) >= _MOST_KNOWN:
-            self._known.clear()
-        self._settings_id = self._known.setdefault(kinds, (object(), now))[0]
+        self._present = now
+        self._settings_id = self._identify(tuple(map(kind_of, now)))
 
     def share_statics(self) -> None:
         """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
         # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
-            for slot in self.slots():
-                if slot.id in self.statics and isinstance(slot.value, torch.Tensor):
-                    static = self.statics[slot.id]
-                    if static is None or kind_of(static) != kind_of(slot.value):
-                        static = self.statics[slot.id] = slot.value.detach().clone()
-                    elif static is not slot.value:
-                        static.copy_(slot.value.clone())
-                    slot.holder[slot.key] = static
+            found = [s for s in self.slots() if s.id in self.statics and isinstance(s.value, torch.Tensor)]
+            for slot in found:
+                if kind_of(self.statics[slot.id]) != kind_of(slot.value):
+                    self.statics[slot.id] = slot.value.detach().clone()
+            keep_tensors([slot._replace(value=self.statics[slot.id]) for slot in found])
 
 
 def _address(tensor: torch.Tensor) -> int:
@@ -283,7 +264,8 @@ def kind_of(value: object) -> object:
         return type(value), value.shape, value.dtype, value.device
     if is_plain(value):
         return type(value), value
-    return id(value) if isinstance(value, tuple) else type(value)
+    # Bound methods are equal if their objects are identical; and the method keeps the tuple alive.
+    return value.__len__ if isinstance(value, tuple) else type(value)
 
 
 def is_plain(value: object) -> bool:
@@ -305,9 +287,8 @@ class GraphCapture:
     def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph) -> None:
         # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
         env.observation_manager.in_masks = True
-        # Reset the curriculum and recorder managers without CUDA graphs, because these managers log Python numbers.
-        self._reset_later: list[Any] = [env.curriculum_manager, env.recorder_manager]
-        env.reset_order = [manager for manager in env.reset_order if manager not in self._reset_later]
+        # Reset the curriculum manager without CUDA graphs, because it logs Python numbers.
+        env.reset_order.remove(env.curriculum_manager)
         self._env, self.make_graph, self.values = env, make_graph, Values(env)
         self.streams, self.clear_caches = env.streams.all, env.scene.robot.data.invalidate
         self.parts: dict[str, CapturedPart] = {}
@@ -328,9 +309,8 @@ class GraphCapture:
         found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
         if part.is_reset:
             env.scene.robot.mark_written(args[0])
-            for manager in self._reset_later:
-                found.update(manager.reset(args[0]))
-                self.values.is_checked &= not manager.active_terms
+            found.update(env.curriculum_manager.reset(args[0]))
+            self.values.is_checked &= not env.curriculum_manager.active_terms
         return found
 
 
@@ -399,6 +379,7 @@ class CapturedPart:
         self._patience = _CALLS_PER_RECORDING * self._room
         self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
         self._calls = self._missed = 0
+        self._suspect = "the number of environments" if is_reset else "the set of values"
         self._checked = set[Key]()
         self._drawn = set[torch.Generator]()
 
@@ -412,7 +393,7 @@ class CapturedPart:
         recording = self.recordings.pop(key, None)
         if recording is not None and (unfit := recording.load(args)):
             self._values.add_flags([unfit])
-            self._times[key], recording = -_RUNS_AFTER_MISMATCH, None
+            self._times[key], self._suspect, recording = -_RUNS_AFTER_MISMATCH, unfit.label, None
         if recording is None:
             times = self._times[key] = self._times.pop(key, 0) + 1
             if len(self._times) > self._patience:
@@ -422,9 +403,11 @@ class CapturedPart:
             recording = self._try_to_record(args) if times > _RUNS_BEFORE_CAPTURE and self._has_room() else None
             if recording is None:
                 self._missed += 1
-                if self._missed == _MANY:
-                    changed = "the number of environments or a setting" if self.is_reset else self._values.changed
-                    self._warn(f"{changed} changes again and again")
+                if self._missed == _MANY - 1:
+                    self._slots = self._values.slots()
+                elif self._missed == _MANY:
+                    changed = (slot.label for slot in self._slots if kind_of(slot.value) != kind_of(slot.now))
+                    self._warn(f"{next(changed, self._suspect)} changes again and again")
                 return self._run(args)
             del self._times[key]
         self.recordings[key], recording.used = recording, self._calls
@@ -458,7 +441,7 @@ class CapturedPart:
     def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         values = self._values
-        before = [(slot, None if slot.is_buffer else _frame(slot.value)) for slot in values.slots()]
+        before = [(slot, None if slot.holds_tensors else _frame(slot.value)) for slot in values.slots()]
         undeclared = UndeclaredChanges(values.root, with_root=True)
         streams = [(stream, stream.get_state()) for stream in self._capture.streams()]
         found = self._run(args)
@@ -469,7 +452,7 @@ class CapturedPart:
                 values.statics.setdefault(slot.id)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
                 self._give_up(f"{slot.label} counts; use a buffer that is changed in place")
-            elif not slot.is_buffer and not same(_frame(now), frame):
+            elif not slot.holds_tensors and not same(_frame(now), frame):
                 self._give_up(f"{slot.label} changes, and is neither a tensor nor a number")
             elif kind_of(was) != kind_of(now):
                 values.add_flags([slot])
@@ -534,9 +517,7 @@ class CapturedPart:
         uses = Counter(_address(slot.value) for slot in buffers)
         shared = {id(slot.value) for slot in buffers if uses[_address(slot.value)] > 1}
         containers = {id(slot.holder) for slot in buffers}
-        # The recording stores tuples whose ids are part of its key, so that no other tuple gets the same id.
-        tuples = {id(slot.value) for slot in before if kind_of(slot.value) == id(slot.value)}
-        fixed = [slot for slot in before if id(slot.value) in shared | containers | tuples]
+        fixed = [slot for slot in before if id(slot.value) in shared | containers]
         buffers = [slot for slot in buffers if id(slot.value) not in shared]
         # Copy the containers of the output, but not its tensors: the method may change its containers later.
         output = tree_map(lambda leaf: leaf, outputs[0])
