@@ -99,7 +99,8 @@ def warm_up(env: ManagerBasedRLEnv, todo: list[torch.Tensor]) -> None:
         env.step(todo[steps % len(todo)])
         steps += 1
         if steps % (10 * WARM_UP) == 0:
-            before, captured = captured, env.graph_capture.recordings if env.graph_capture else 0
+            parts = env.graph_capture.parts if env.graph_capture else {}
+            before, captured = captured, sum(len(part.recordings) for part in parts.values())
             if captured == before:
                 break
 

@@ -12,9 +12,9 @@ from torch.utils._pytree import tree_flatten
 
 from env.composed import composed
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture, Values
+from wheelleg_exp.env.graph_capture import CapturedPart, GraphCapture
 from wheelleg_exp.sim.batch_engine import BatchEngine
-from wheelleg_exp.state import register_undeclared
+from wheelleg_exp.state import Stateful, register_undeclared
 
 # A CUDA graph cannot record these operations, because they copy numbers between host and GPU.
 WAITS = ("_local_scalar_dense", "nonzero", "lift_fresh")
@@ -61,15 +61,26 @@ def make_env(task: str = "stand", *overrides: str, captured: bool = False) -> Ma
     return env
 
 
+class OneTermEnv(Stateful):
+    """What a graph capture needs of an environment, for one term."""
+
+    def __init__(self, term) -> None:
+        self.observation_manager, self.curriculum_manager = SimpleNamespace(), None
+        self.reset_order = [None]
+        self.streams = SimpleNamespace(all=list)
+        data = SimpleNamespace(invalidate=lambda: None)
+        self.scene = SimpleNamespace(robot=SimpleNamespace(data=data))
+        self.child("term", term)
+
+
 def make_part(work, term, *, make_graph=Tape):
     """Return a captured part of a term, and a function that compares the settings and then runs the part."""
     register_undeclared(term)
-    values = Values(term)
-    capture = SimpleNamespace(values=values, make_graph=make_graph, streams=list, clear_caches=lambda: None)
+    capture = GraphCapture(OneTermEnv(term), make_graph)
     part = CapturedPart(capture, work)
 
     def run(*args):
-        values.is_checked = False
+        capture.is_checked = False
         return part(*args)
 
     return part, run

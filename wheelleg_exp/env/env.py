@@ -187,7 +187,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _settings_may_have_changed(self) -> None:
         """Compare all settings before the next replay of a CUDA graph, because user-defined code has run."""
         if self.graph_capture is not None:
-            self.graph_capture.values.is_checked = False
+            self.graph_capture.is_checked = False
 
     def reset(
         self, seed: int | None = None, env_ids: torch.Tensor | None = None

@@ -1,11 +1,8 @@
 """Capture the parts of an environment's step as CUDA graphs: one launch instead of hundreds of small kernels.
 
-The decorator ``captured_part`` marks a method of the environment as a part of the environment's step. Without CUDA
-graphs, such a method runs as Python code. ``GraphCapture`` runs it twice as Python code, records it as a CUDA graph,
-and then replays this graph.
-
-A CUDA graph repeats kernels on fixed memory and does not run Python, so ``GraphCapture`` must know what a recorded
-method reads and writes: what the environment's parts have declared (see ``wheelleg_exp.state.Stateful``).
+A CUDA graph repeats kernels on fixed memory and does not run Python. So ``GraphCapture`` runs a method twice as Python
+code before it records a CUDA graph, and must know what the method reads and writes: what the environment's parts have
+declared (see ``wheelleg_exp.state.Stateful``).
 
 - A captured method may change a declared **buffer** in place, or assign a new tensor of the same shape. The graph
   copies the new tensor into the old one.
@@ -46,10 +43,11 @@ _RECORDINGS, _RESET_RECORDINGS = 8, 128
 # Recording costs several runs as Python code. So forget a key that did not occur among the last 16 x 8 calls (16 x 128
 # for the reset), and replace only a CUDA graph that was not used in these calls.
 _CALLS_PER_RECORDING = 16
+# If the memory of a buffer has changed, record the CUDA graph from scratch after 64 runs as Python code.
+_RUNS_AFTER_MISMATCH = 64
 # Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
-_RUNS_AFTER_MISMATCH = 64
-_MOST_KNOWN = 64  # numbered combinations of settings
+_COMBINATIONS = 64  # of settings
 
 Key = tuple[Any, ...]
 Method = TypeVar("Method", bound=Callable[..., object])
@@ -105,9 +103,9 @@ class CudaGraph:
 
 
 class Slot(NamedTuple):
-    """A place of a declared value: an attribute of a part, or an entry of a dictionary or list in this attribute.
+    """A declared attribute of a part, or an entry of a dictionary or list in this attribute.
 
-    ``value`` is the value when ``Values.slots`` listed the slot, and ``now`` is the present value.
+    ``value`` is the value when ``GraphCapture.slots`` listed the slot, and ``now`` is the present value.
     """
 
     holder: Any
@@ -132,8 +130,7 @@ class Slot(NamedTuple):
     @property
     def has_other_tensor(self) -> bool:
         """Whether the place has got another tensor of the same form."""
-        value, now = self.value, self.now
-        return isinstance(value, torch.Tensor) and now is not value and kind_of(now) == kind_of(value)
+        return self.now is not self.value and fits(self.now, self.value)
 
 
 def _slots_in(holder: Any, key: object, name: str, owner: str, is_buffer: bool) -> Iterator[Slot]:
@@ -148,6 +145,8 @@ def _slots_in(holder: Any, key: object, name: str, owner: str, is_buffer: bool) 
 
 def keep_tensors(slots: Sequence[Slot]) -> None:
     """Copy the present tensor of each slot into the slot's earlier tensor, and assign the earlier tensor again."""
+    if not slots:
+        return
     targets = {_address(slot.value) for slot in slots}
     # The tensors of different slots may share memory, so first clone the tensors that would be overwritten.
     copies = [now.clone() if _address(now) in targets else now for now in [slot.now for slot in slots]]
@@ -156,32 +155,102 @@ def keep_tensors(slots: Sequence[Slot]) -> None:
         slot.holder[slot.key] = slot.value
 
 
-class Values:
-    """The declared values of an environment and its parts.
+def _address(tensor: torch.Tensor) -> int:
+    """Return the address of a tensor's storage, because all views of a tensor share its storage."""
+    return tensor.untyped_storage().data_ptr()
+
+
+def _memory(tree: object) -> set[int]:
+    return {_address(leaf) for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)}
+
+
+class TouchedMemory(TorchDispatchMode):
+    """Records the memory addresses of all tensors that torch operations read or write."""
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.addresses = set[int]()
+
+    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        del types
+        result = operation(*args, **(kwargs or {}))
+        self.addresses |= _memory((args, kwargs, result))
+        return result
+
+
+def kind_of(value: object) -> object:
+    """Return what a CUDA graph depends on in a value: its type, and the plain value or the form of the tensor."""
+    if isinstance(value, torch.Tensor):
+        return type(value), value.shape, value.dtype, value.device
+    if is_plain(value):
+        return type(value), value
+    # Bound methods are equal if their objects are identical; and the method keeps the tuple alive.
+    return value.__len__ if isinstance(value, tuple) else type(value)
+
+
+def fits(value: object, tensor: object) -> bool:
+    """Return whether both values are tensors of the same form, so that one can be copied into the other."""
+    return isinstance(tensor, torch.Tensor) and kind_of(value) == kind_of(tensor)
+
+
+def is_plain(value: object) -> bool:
+    """Return whether a value is a number, a text, None, or a tuple of these."""
+    return type(value) in PLAIN or isinstance(value, Number) or (type(value) is tuple and all(map(is_plain, value)))
+
+
+def _frame(value: object) -> object:
+    """Return what must not change in a declared value: the sizes of containers, and values that have no slot."""
+    if isinstance(value, (dict, list)):
+        return len(value)
+    has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
+    return None if has_slot else snapshot(value)
+
+
+class GraphCapture:
+    """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later.
 
     A number that a captured method changes (a *flag*) is read before each replay of a CUDA graph. All other numbers and
     settings can change only in Python code, and are read only after such code.
 
     Attributes:
         is_checked: whether no code that may change settings has run since the settings were last compared.
-        statics: the tensors that all CUDA graphs use for the slots to which captured methods assign tensors, by the ids
-            of these slots; None for a slot that no CUDA graph uses yet.
+        statics: the tensors that all CUDA graphs share, by the ids of slots to which captured methods assign tensors.
     """
 
-    def __init__(self, root: object) -> None:
-        self.root = root
+    def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph) -> None:
+        # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
+        env.observation_manager.in_masks = True
+        # Reset the curriculum manager without CUDA graphs, because it logs Python numbers.
+        env.reset_order.remove(env.curriculum_manager)
+        self.env, self.make_graph = env, make_graph
+        self.parts: dict[str, CapturedPart] = {}
         self.is_checked = False
-        self.statics: dict[tuple[int, object], torch.Tensor | None] = {}
+        self.statics: dict[tuple[int, object], torch.Tensor] = {}
         self._flags: dict[tuple[int, object], Slot] = {}
         self._places: list[tuple[Any, Any]] = []  # the holder and the key of each setting
         self._present: list[object] = []
         self._sizes: list[tuple[Sized, int]] = []
-        self._identify = functools.lru_cache(_MOST_KNOWN)(lambda _: object())
+        self._identify = functools.lru_cache(_COMBINATIONS)(lambda _: object())
+
+    def run(self, method: Callable[..., object], args: tuple[object, ...]) -> object:
+        """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
+        env, name = self.env, method.__name__
+        if name not in self.parts:
+            is_reset = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
+            self.parts[name] = CapturedPart(self, MethodType(method, env), is_reset)
+        part = self.parts[name]
+        env.scene.robot.data.invalidate()
+        found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
+        if part.is_reset:
+            env.scene.robot.mark_written(args[0])
+            found.update(env.curriculum_manager.reset(args[0]))
+            self.is_checked &= not env.curriculum_manager.active_terms
+        return found
 
     def slots(self) -> list[Slot]:
         """Return the slots of the environment and its parts, except event terms whose mode is not ``reset``."""
         found: list[Slot] = []
-        for part in {id(part): part for _, part in tree(self.root)}.values():
+        for part in {id(part): part for _, part in tree(self.env)}.values():
             # No CUDA graph runs an event term that runs outside of resets.
             if not isinstance(part, Term) or part.fields.get("mode", "reset") == "reset":
                 owner = getattr(part, "path", type(part).__name__)
@@ -224,95 +293,6 @@ class Values:
         self._present = now
         self._settings_id = self._identify(tuple(map(kind_of, now)))
 
-    def share_statics(self) -> None:
-        """Replace newly assigned tensors by static tensors with the same values, which all CUDA graphs share."""
-        # Tensors made in inference mode cannot be written in place outside of inference mode.
-        with torch.inference_mode(False), torch.no_grad():
-            found = [s for s in self.slots() if s.id in self.statics and isinstance(s.value, torch.Tensor)]
-            for slot in found:
-                if kind_of(self.statics[slot.id]) != kind_of(slot.value):
-                    self.statics[slot.id] = slot.value.detach().clone()
-            keep_tensors([slot._replace(value=self.statics[slot.id]) for slot in found])
-
-
-def _address(tensor: torch.Tensor) -> int:
-    """Return the address of a tensor's storage, because all views of a tensor share its storage."""
-    return tensor.untyped_storage().data_ptr()
-
-
-def _memory(tree: object) -> set[int]:
-    return {_address(leaf) for leaf in tree_leaves(tree) if isinstance(leaf, torch.Tensor)}
-
-
-class TouchedMemory(TorchDispatchMode):
-    """Records the memory addresses of all tensors that torch operations read or write."""
-
-    def __init__(self) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self.addresses = set[int]()
-
-    def __torch_dispatch__(self, operation: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        del types
-        result = operation(*args, **(kwargs or {}))
-        self.addresses |= _memory((args, kwargs, result))
-        return result
-
-
-def kind_of(value: object) -> object:
-    """Return what a CUDA graph depends on in a value: its type, and the plain value or the form of the tensor."""
-    if isinstance(value, torch.Tensor):
-        return type(value), value.shape, value.dtype, value.device
-    if is_plain(value):
-        return type(value), value
-    # Bound methods are equal if their objects are identical; and the method keeps the tuple alive.
-    return value.__len__ if isinstance(value, tuple) else type(value)
-
-
-def is_plain(value: object) -> bool:
-    """Return whether a value is a number, a text, None, or a tuple of these."""
-    return type(value) in PLAIN or isinstance(value, Number) or (type(value) is tuple and all(map(is_plain, value)))
-
-
-def _frame(value: object) -> object:
-    """Return what must not change in a declared value: the sizes of containers, and values that have no slot."""
-    if isinstance(value, (dict, list)):
-        return len(value)
-    has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
-    return None if has_slot else snapshot(value)
-
-
-class GraphCapture:
-    """Runs the captured methods of an environment's step as Python code at first, and as CUDA graphs later."""
-
-    def __init__(self, env: Any, make_graph: Callable[[Sequence[torch.Generator]], CudaGraph] = CudaGraph) -> None:
-        # Select environments by masks, because masks have a fixed shape, whereas the number of indices varies.
-        env.observation_manager.in_masks = True
-        # Reset the curriculum manager without CUDA graphs, because it logs Python numbers.
-        env.reset_order.remove(env.curriculum_manager)
-        self._env, self.make_graph, self.values = env, make_graph, Values(env)
-        self.streams, self.clear_caches = env.streams.all, env.scene.robot.data.invalidate
-        self.parts: dict[str, CapturedPart] = {}
-
-    @property
-    def recordings(self) -> int:
-        """The number of recorded CUDA graphs of all captured methods."""
-        return sum(len(part.recordings) for part in self.parts.values())
-
-    def run(self, method: Callable[..., object], args: tuple[object, ...]) -> object:
-        """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
-        env, name = self._env, method.__name__
-        if name not in self.parts:
-            is_reset = any(isinstance(arg, torch.Tensor) and arg.dtype == torch.long for arg in args)
-            self.parts[name] = CapturedPart(self, MethodType(method, env), is_reset)
-        part = self.parts[name]
-        self.clear_caches()
-        found: Any = part(*[arg.to(env.device) if isinstance(arg, torch.Tensor) else arg for arg in args])
-        if part.is_reset:
-            env.scene.robot.mark_written(args[0])
-            found.update(env.curriculum_manager.reset(args[0]))
-            self.values.is_checked &= not env.curriculum_manager.active_terms
-        return found
-
 
 @dataclass
 class Recording:
@@ -322,8 +302,7 @@ class Recording:
         output: the result of the method, in the memory of the CUDA graph.
         buffers: the slots of the tensors that the method reads or writes, with the CUDA graph's tensors as values.
         fixed: the slots that must still have their values: tensors that share memory, and containers of buffers.
-        assigned: the slots to which the method assigns values.
-        removed: the slots of the dictionary entries that the method deletes.
+        assigned, removed: the slots to which the method assigns values, and the dictionary entries that it deletes.
         used: the number of the method's call that last used the CUDA graph.
     """
 
@@ -343,10 +322,10 @@ class Recording:
             moved = [slot for slot in self.buffers if slot[0][slot[1]] is not slot[2]]
         except LookupError:
             return next(slot for slot in (*self.fixed, *self.buffers) if slot.now is None)
-        if unfit := unfit or [slot for slot in moved if not slot.has_other_tensor]:
+        unfit += [slot for slot in moved if not slot.has_other_tensor]
+        if unfit:
             return unfit[0]
-        if moved:
-            keep_tensors(moved)
+        keep_tensors(moved)
         for arg, now in zip(self.inputs, args, strict=True):
             if isinstance(arg, torch.Tensor) and isinstance(now, torch.Tensor):
                 arg.copy_(now)
@@ -372,7 +351,7 @@ class CapturedPart:
     """
 
     def __init__(self, capture: GraphCapture, method: Callable[..., Any], is_reset: bool = False) -> None:
-        self._capture, self._values, self._method, self.is_reset = capture, capture.values, method, is_reset
+        self._capture, self._method, self.is_reset = capture, method, is_reset
         self.fails = False
         self.recordings: dict[Key, Recording] = {}
         self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
@@ -388,11 +367,11 @@ class CapturedPart:
         if self.fails:
             return self._run(args)
         self._calls += 1
-        state = self._values.key()
+        state = self._capture.key()
         key = (*map(kind_of, args), *state)
         recording = self.recordings.pop(key, None)
         if recording is not None and (unfit := recording.load(args)):
-            self._values.add_flags([unfit])
+            self._capture.add_flags([unfit])
             self._times[key], self._suspect, recording = -_RUNS_AFTER_MISMATCH, unfit.label, None
         if recording is None:
             times = self._times[key] = self._times.pop(key, 0) + 1
@@ -404,7 +383,7 @@ class CapturedPart:
             if recording is None:
                 self._missed += 1
                 if self._missed == _MANY - 1:
-                    self._slots = self._values.slots()
+                    self._slots = [slot for slot in self._capture.slots() if not slot.holds_tensors]
                 elif self._missed == _MANY:
                     changed = (slot.label for slot in self._slots if kind_of(slot.value) != kind_of(slot.now))
                     self._warn(f"{next(changed, self._suspect)} changes again and again")
@@ -425,7 +404,7 @@ class CapturedPart:
         return True
 
     def _run(self, args: tuple[object, ...]) -> object:
-        self._values.is_checked = False  # Python code may change any attribute of the environment.
+        self._capture.is_checked = False  # Python code may change any attribute of the environment.
         return self._method(*args)
 
     def _give_up(self, reason: str) -> None:
@@ -440,22 +419,25 @@ class CapturedPart:
 
     def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
-        values = self._values
-        before = [(slot, None if slot.holds_tensors else _frame(slot.value)) for slot in values.slots()]
-        undeclared = UndeclaredChanges(values.root, with_root=True)
-        streams = [(stream, stream.get_state()) for stream in self._capture.streams()]
+        capture = self._capture
+        before = [(slot, None if slot.holds_tensors else _frame(slot.value)) for slot in capture.slots()]
+        undeclared = UndeclaredChanges(capture.env, with_root=True)
+        streams = [(stream, stream.get_state()) for stream in self._capture.env.streams.all()]
         found = self._run(args)
         self._drawn |= {stream for stream, was in streams if not torch.equal(stream.get_state(), was)}
         for slot, frame in before:
             was, now = slot.value, slot.now
             if slot.has_other_tensor:
-                values.statics.setdefault(slot.id)
+                if not fits(now, capture.statics.get(slot.id)):
+                    # Tensors made in inference mode cannot be written in place outside of inference mode.
+                    with torch.inference_mode(False):
+                        capture.statics[slot.id] = torch.empty_like(now)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
                 self._give_up(f"{slot.label} counts; use a buffer that is changed in place")
             elif not slot.holds_tensors and not same(_frame(now), frame):
                 self._give_up(f"{slot.label} changes, and is neither a tensor nor a number")
             elif kind_of(was) != kind_of(now):
-                values.add_flags([slot])
+                capture.add_flags([slot])
         for owner, name in undeclared.changed():
             self._give_up(f"'{name}' of {type(owner).__name__} changes, and is not declared")
         self._checked.add(state)
@@ -464,7 +446,7 @@ class CapturedPart:
     def _try_to_record(self, args: tuple[object, ...]) -> Recording | None:
         """Return a CUDA graph of the method, or None if recording fails, as for methods that wait for the GPU."""
         # First try only the random streams in use, because each registered stream adds two kernel launches to a replay.
-        for streams in ([*self._drawn], self._capture.streams()):
+        for streams in ([*self._drawn], self._capture.env.streams.all()):
             try:
                 return self._record(args, self._capture.make_graph(streams))
             except (RuntimeError, SimulationFailure) as error:
@@ -475,13 +457,14 @@ class CapturedPart:
         return None
 
     def _record(self, args: tuple[object, ...], graph: CudaGraph) -> Recording:
-        values = self._values
-        values.share_statics()
-        before = values.slots()
+        capture = self._capture
+        with torch.inference_mode(False), torch.no_grad():
+            inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
+            own = [(slot, capture.statics.get(slot.id)) for slot in capture.slots()]
+            keep_tensors([slot._replace(value=static) for slot, static in own if fits(slot.value, static)])
+        before = capture.slots()
         earlier = {slot.id: slot.value for slot in before}
         tensors = [slot for slot in before if isinstance(slot.value, torch.Tensor)]
-        with torch.inference_mode(False):
-            inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
         touched, outputs = TouchedMemory(), list[Any]()
 
         def work() -> None:
@@ -500,16 +483,16 @@ class CapturedPart:
             graph.record(work)
         except Exception:
             # Restore all values, because a failed capture has assigned tensors whose values no kernel has computed.
-            for slot in reversed(values.slots()):
+            for slot in reversed(capture.slots()):
                 is_attribute = isinstance(slot.holder, dict) and "_declared" in slot.holder
                 if slot.id not in earlier and not is_attribute:
                     del slot.holder[slot.key]
             for slot in before:
                 slot.holder[slot.key] = slot.value
-            self._capture.clear_caches()
+            self._capture.env.scene.robot.data.invalidate()
             raise
-        values.add_flags(slot for slot in before if kind_of(slot.value) != kind_of(slot.now))
-        assigned = [slot for slot in values.slots() if slot.id not in earlier or earlier[slot.id] is not slot.value]
+        capture.add_flags(slot for slot in before if kind_of(slot.value) != kind_of(slot.now))
+        assigned = [slot for slot in capture.slots() if slot.id not in earlier or earlier[slot.id] is not slot.value]
         removed = [slot for slot in before if isinstance(slot.holder, dict) and slot.key not in slot.holder]
         memory = touched.addresses | _memory((outputs, inputs, [slot.value for slot in assigned]))
         buffers = [slot for slot in tensors if _address(slot.value) in memory]
