@@ -99,16 +99,33 @@ def test_buffers_that_share_a_tensor_may_part(order, doubles):
         assert run().tolist() == [expected] * 2
 
 
-@pytest.mark.filterwarnings("ignore:the part '<lambda>' of the step runs without a CUDA graph")
 def test_a_buffer_that_is_seen_through_another_is_not_overwritten():
     memory = torch.arange(20.0)
     term = Made(memory=memory, seen=memory[:4])
-    _, run = make_part(lambda: term.seen.sum() + 0.0, term)
-    for step in range(80):
-        first = 3 * (step % 5)
+    made = []
+    _, run = make_part(lambda: term.seen.sum() + 0.0, term, make_graph=lambda streams: made.append(1) or Tape())
+
+    def sum_from(first: int) -> float:
         term.seen = term.memory[first : first + 4]
-        assert float(run()) == 4 * first + 6
-        assert torch.equal(term.memory, torch.arange(20.0))
+        return float(run())
+
+    starts = [3 * (step % 5) for step in range(400)]
+    with pytest.warns(UserWarning, match="without a CUDA graph: 'seen' of Made changes again and again") as warned:
+        sums = [sum_from(first) for first in starts]
+    assert sums == [4 * first + 6 for first in starts]
+    assert torch.equal(term.memory, torch.arange(20.0))
+    assert len(warned) == 1
+    assert len(made) < 10
+
+
+def test_a_part_is_recorded_again_if_a_buffer_gets_other_memory_once():
+    memory = torch.arange(20.0)
+    term = Made(memory=memory, seen=memory[:4])
+    part, run = make_part(lambda: term.seen.sum() + 0.0, term)
+    assert [float(run()) for _ in range(5)] == [6.0] * 5
+    term.seen = term.memory[3:7]
+    assert [float(run()) for _ in range(5)] == [18.0] * 5
+    assert len(part.recordings) == 1
 
 
 def test_a_recording_depends_only_on_buffers_that_the_part_uses():

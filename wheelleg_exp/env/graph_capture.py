@@ -358,7 +358,8 @@ class CapturedPart:
         self._patience = _CALLS_PER_RECORDING * self._room
         self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
         self._calls = self._missed = 0
-        self._suspect = "the number of environments" if is_reset else "the set of values"
+        # A warning names this value if no number and no setting has changed.
+        self._changing = "the number of environments" if is_reset else "the set of values"
         self._checked = set[Key]()
         self._drawn = set[torch.Generator]()
 
@@ -372,7 +373,7 @@ class CapturedPart:
         recording = self.recordings.pop(key, None)
         if recording is not None and (unfit := recording.load(args)):
             self._capture.add_flags([unfit])
-            self._times[key], self._suspect, recording = -_RUNS_AFTER_MISMATCH, unfit.label, None
+            self._times[key], self._changing, recording = -_RUNS_AFTER_MISMATCH, unfit.label, None
         if recording is None:
             times = self._times[key] = self._times.pop(key, 0) + 1
             if len(self._times) > self._patience:
@@ -383,10 +384,10 @@ class CapturedPart:
             if recording is None:
                 self._missed += 1
                 if self._missed == _MANY - 1:
-                    self._slots = [slot for slot in self._capture.slots() if not slot.holds_tensors]
+                    self._before = [slot for slot in self._capture.slots() if not slot.holds_tensors]
                 elif self._missed == _MANY:
-                    changed = (slot.label for slot in self._slots if kind_of(slot.value) != kind_of(slot.now))
-                    self._warn(f"{next(changed, self._suspect)} changes again and again")
+                    changed = (slot.label for slot in self._before if kind_of(slot.value) != kind_of(slot.now))
+                    self._warn(f"{next(changed, self._changing)} changes again and again")
                 return self._run(args)
             del self._times[key]
         self.recordings[key], recording.used = recording, self._calls
