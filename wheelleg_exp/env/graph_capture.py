@@ -302,7 +302,8 @@ class Recording:
         output: the result of the method, in the memory of the CUDA graph.
         buffers: the slots of the tensors that the method reads or writes, with the CUDA graph's tensors as values.
         fixed: the slots that must still have their values: tensors that share memory, and containers of buffers.
-        assigned, removed: the slots to which the method assigns values, and the dictionary entries that it deletes.
+        assigned: the holder, the key, and the value of each slot to which the method assigns a value.
+        removed: the slots of the dictionary entries that the method deletes.
         used: the number of the method's call that last used the CUDA graph.
     """
 
@@ -311,7 +312,7 @@ class Recording:
     output: Any
     buffers: list[Slot]
     fixed: list[Slot]
-    assigned: list[Slot]
+    assigned: list[tuple[Any, Any, object]]
     removed: list[Slot]
     used: int = 0
 
@@ -336,18 +337,16 @@ class Recording:
         self.graph.replay()
         for slot in self.removed:
             slot.holder.pop(slot.key, None)
-        for holder, key, value, *_ in self.assigned:
+        for holder, key, value in self.assigned:
             holder[key] = value
         return self.output
 
 
 class CapturedPart:
-    """One method of the environment's step, and the CUDA graphs recorded from it.
+    """One method of the environment's step, and the CUDA graphs recorded from it, the least recently used one first.
 
-    Attributes:
-        is_reset: whether the method resets any number of environments, and returns a dictionary of logged numbers.
-        fails: whether the method runs without CUDA graphs from now on.
-        recordings: the CUDA graphs by their keys; the first one is the least recently used one.
+    If ``is_reset``, the method resets any number of environments, and returns a dictionary of logged numbers. If
+    ``fails``, the method runs without CUDA graphs from now on.
     """
 
     def __init__(self, capture: GraphCapture, method: Callable[..., Any], is_reset: bool = False) -> None:
@@ -373,7 +372,8 @@ class CapturedPart:
         recording = self.recordings.pop(key, None)
         if recording is not None and (unfit := recording.load(args)):
             self._capture.add_flags([unfit])
-            self._times[key], self._changing, recording = -_RUNS_AFTER_MISMATCH, unfit.label, None
+            self._changing = unfit.label
+            self._times[key], recording = -_RUNS_AFTER_MISMATCH, None
         if recording is None:
             times = self._times[key] = self._times.pop(key, 0) + 1
             if len(self._times) > self._patience:
@@ -423,7 +423,7 @@ class CapturedPart:
         capture = self._capture
         before = [(slot, None if slot.holds_tensors else _frame(slot.value)) for slot in capture.slots()]
         undeclared = UndeclaredChanges(capture.env, with_root=True)
-        streams = [(stream, stream.get_state()) for stream in self._capture.env.streams.all()]
+        streams = [(stream, stream.get_state()) for stream in capture.env.streams.all()]
         found = self._run(args)
         self._drawn |= {stream for stream, was in streams if not torch.equal(stream.get_state(), was)}
         for slot, frame in before:
@@ -490,7 +490,7 @@ class CapturedPart:
                     del slot.holder[slot.key]
             for slot in before:
                 slot.holder[slot.key] = slot.value
-            self._capture.env.scene.robot.data.invalidate()
+            capture.env.scene.robot.data.invalidate()
             raise
         capture.add_flags(slot for slot in before if kind_of(slot.value) != kind_of(slot.now))
         assigned = [slot for slot in capture.slots() if slot.id not in earlier or earlier[slot.id] is not slot.value]
@@ -499,10 +499,10 @@ class CapturedPart:
         buffers = [slot for slot in tensors if _address(slot.value) in memory]
         # Other values cannot be copied into a tensor whose memory several slots use.
         uses = Counter(_address(slot.value) for slot in buffers)
-        shared = {id(slot.value) for slot in buffers if uses[_address(slot.value)] > 1}
-        containers = {id(slot.holder) for slot in buffers}
-        fixed = [slot for slot in before if id(slot.value) in shared | containers]
-        buffers = [slot for slot in buffers if id(slot.value) not in shared]
+        pinned = {id(slot.value) for slot in buffers if uses[_address(slot.value)] > 1}
+        pinned |= {id(slot.holder) for slot in buffers}
+        fixed = [slot for slot in before if id(slot.value) in pinned]
+        buffers = [slot for slot in buffers if id(slot.value) not in pinned]
         # Copy the containers of the output, but not its tensors: the method may change its containers later.
         output = tree_map(lambda leaf: leaf, outputs[0])
-        return Recording(graph, inputs, output, buffers, fixed, assigned, removed)
+        return Recording(graph, inputs, output, buffers, fixed, [slot[:3] for slot in assigned], removed)
