@@ -14,7 +14,7 @@ from wheelleg_exp.managers.observation_term import Group, GroupLayout, Observati
 from wheelleg_exp.managers.sample_history import HistoryBuffer, RowHistory
 from wheelleg_exp.managers.term_interface import Env
 from wheelleg_exp.sim.ids import ids_where
-from wheelleg_exp.state import Stateful, cloned, merged
+from wheelleg_exp.state import Stateful, cloned
 from wheelleg_exp.terms.config_sections import ObservationGroup as GroupOptions
 
 _SLICE = 100  # bytes per slice object
@@ -111,7 +111,7 @@ class ObservationManager(Stateful):
             self._is_first.fill_(False)
             self._any_first = False
         if only is not None:
-            self.load_state_dict(merged(before, self.state_dict(), only))
+            self.load_state_dict(_merged(before, self.state_dict(), only))
         return self.obs_buf
 
     def peek(self) -> dict[str, Group]:
@@ -193,6 +193,21 @@ class ObservationManager(Stateful):
             rows = [(i, name, term.shape, *last[i]) for i, (name, term) in enumerate(terms.items())]
             parts.append(table(f"Observations '{group}': {self.group_obs_dim[group]}", columns, rows))
         return "\n".join(parts)
+
+
+def _merged(before: object, after: Any, rows: torch.Tensor) -> Any:
+    """Return a state dict with the environments ``rows`` (N,) bool of ``after``, and the other ones of ``before``.
+
+    Values without one row per environment, such as plain numbers, come from ``after``.
+    """
+    if isinstance(after, Mapping) and isinstance(before, Mapping):
+        return {name: _merged(before.get(name), item, rows) for name, item in after.items()}
+    if isinstance(after, (list, tuple)) and isinstance(before, (list, tuple)) and len(before) == len(after):
+        return type(after)(_merged(old, new, rows) for old, new in zip(before, after, strict=True))
+    if isinstance(after, torch.Tensor) and isinstance(before, torch.Tensor):
+        has_rows = before.shape == after.shape and after.shape[:1] == rows.shape
+        return torch.where(rows.view(-1, *[1] * (after.ndim - 1)), after, before) if has_rows else after
+    return after
 
 
 def _require_memory(terms: list[ObservationTerm], env: Env, key: str, *, by_time: bool) -> None:

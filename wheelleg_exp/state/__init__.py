@@ -7,20 +7,7 @@
 | `old_layout` | converts the environment's state in checkpoints of format version 2 |
 """
 
-from wheelleg_exp.state.stateful import Settings, Stateful, adopt, register_undeclared, restore, save, tree
-from wheelleg_exp.state.values import NamedStream, cloned, host_copy, merged, same
+from wheelleg_exp.state.stateful import Settings, Stateful, adopt, register_undeclared, tree
+from wheelleg_exp.state.values import NamedStream, cloned, host_copy, same
 
-__all__ = [
-    "NamedStream",
-    "Settings",
-    "Stateful",
-    "adopt",
-    "cloned",
-    "host_copy",
-    "merged",
-    "register_undeclared",
-    "restore",
-    "same",
-    "save",
-    "tree",
-]
+__all__ = ["NamedStream", "Settings", "Stateful", "adopt", "cloned", "host_copy", "register_undeclared", "same", "tree"]

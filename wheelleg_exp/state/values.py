@@ -169,22 +169,6 @@ def cloned(tree: T, device: torch.device | None = None) -> T:
     return cast(T, found)
 
 
-def merged(before: object, after: T, rows: torch.Tensor) -> T:
-    """Merge two state dicts of one object: environments ``rows`` (N,) bool from ``after``, the others from ``before``.
-
-    All values without one row per environment, such as plain numbers, come from the state dict ``after``.
-    """
-    found: object = after
-    if isinstance(after, Mapping) and isinstance(before, Mapping):
-        found = {name: merged(before.get(name), item, rows) for name, item in after.items()}
-    elif isinstance(after, (list, tuple)) and isinstance(before, (list, tuple)) and len(before) == len(after):
-        found = type(after)(merged(old, new, rows) for old, new in zip(before, after, strict=True))
-    elif isinstance(after, torch.Tensor) and isinstance(before, torch.Tensor):
-        has_rows = before.shape == after.shape and after.shape[:1] == rows.shape
-        found = torch.where(rows.view(-1, *[1] * (after.ndim - 1)), after, before) if has_rows else after
-    return cast(T, found)
-
-
 def host_copy(tensor: torch.Tensor) -> Array:
     """Return a copy of a tensor in host memory, which later simulation steps do not change."""
     return cast(Array, tensor.detach().cpu().numpy().copy())
