@@ -8,7 +8,6 @@ from typing import Any
 import torch
 
 _TAG = "__kind__"
-_ROBOT_PARTS = ("actuators", "wrench", "wrench_bodies", "stale", "settings")
 
 
 def from_format_2(env: Mapping[str, object]) -> dict[str, object]:
@@ -20,15 +19,12 @@ def from_format_2(env: Mapping[str, object]) -> dict[str, object]:
     found: dict[str, Any] = _plain(env)
     found["attributes"] = {"attributes": {n: {"now": value} for n, value in found.get("attributes", {}).items()}}
     scene, managers = found["scene"], found["managers"]
-    robot = scene["robot"]
-    targets = {name: robot[f"joint_{name}_target"] for name in ("pos", "vel", "effort")}
-    data = _private({name: value for name, value in robot.items() if name not in _ROBOT_PARTS})
-    data["_vel_before"] = robot.get("body_vel_before")  # None if no term has read accelerations
-    scene["robot"] = _private(robot) | {"targets": targets, "data": data | robot["settings"]}
-    scene["robot"]["_wrench_bodies"] = tuple(robot["wrench_bodies"])
-    for actuator in robot["actuators"].values():
-        if isinstance(delay := actuator.get("delay"), dict):
-            delay["_past"] = present_delay(delay.get("_past", {}))
+    robot: dict[str, Any] = _private(scene["robot"])
+    robot["_wrench_bodies"] = tuple(robot["wrench_bodies"])
+    robot["targets"] = {name: robot[f"joint_{name}_target"] for name in ("pos", "vel", "effort")}
+    # ``body_vel_before`` is missing if no term has read accelerations.
+    robot["data"] = robot | robot["settings"] | {"_vel_before": robot.get("body_vel_before")}
+    scene["robot"] = robot
     for name, sensor in scene["sensors"].items():
         output = {key.removeprefix("output."): value for key, value in sensor.items() if key.startswith("output.")}
         times = {key: value for key, value in sensor.items() if key.endswith("_time")}
@@ -37,22 +33,17 @@ def from_format_2(env: Mapping[str, object]) -> dict[str, object]:
             data["forces"] = list(sensor["history"].unbind(dim=1))
         own = {"_bias_b": sensor.get("bias"), "_noise_b": sensor.get("noise")} if "bias" in sensor else {}
         scene["sensors"][name] = _private(sensor) | own | {"data": data, "_data": data}
-    for name, manager in managers.items():
-        delays = {n: present_delay(delay) for n, delay in manager.get("delays", {}).items()}
-        managers[name] = _private(manager) | {"delays": delays}
+    managers |= {name: _private(manager) for name, manager in managers.items()}
     rewards, curriculum = managers.get("rewards", {}), managers.get("curriculum", {})
     rewards["_sums"], curriculum["_state"] = rewards.get("episode_sums"), curriculum.get("last")
     for terms in managers["observations"]["groups"].values():
         for term in terms.values():
-            term["delay"] = present_delay(term.get("delay", {}))
             term["_modifiers"], term["_noise"] = dict(enumerate(term["modifiers"])), _private(term["noise"])
     return found
 
 
 def present_delay(values: Mapping[str, Any]) -> dict[str, object]:
     """Return the state of a delay; at first it had no jitter and no share, later one share for all environments."""
-    if "lag" not in values:
-        return dict(values)
     share = torch.ones(values["lag"].shape) * values.get("share", 1.0)
     return _private({"last_lag": values["lag"], **values, "share": share})
 
@@ -63,16 +54,15 @@ def _private(values: Mapping[str, object]) -> dict[str, object]:
 
 
 def _plain(value: object) -> Any:
-    """Return a value in which no container, array, or generator has a tag."""
-    if isinstance(value, Mapping) and _TAG in value:
-        kind = value[_TAG]
+    """Return a value in which containers, arrays, and generators have no tag, and delays have the present layout."""
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    found = {key: _plain(item) for key, item in value.items()}
+    if kind := found.get(_TAG):
+        items = found["items"] if "items" in found else found["data"]
         if kind == "dict":
-            keys = map(_plain, value["keys"])
-            return dict(zip(keys, map(_plain, value["items"]), strict=True))
-        if kind == "scalar":
-            return value["data"].item()
-        items = _plain(value["items"] if "items" in value else value["data"])
-        return tuple(items) if kind == "tuple" else items
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list) else value
+            return dict(zip(found["keys"], items, strict=True))
+        return items.item() if kind == "scalar" else tuple(items) if kind == "tuple" else items
+    return present_delay(found) if {"lag", "samples", "is_first"} <= found.keys() else found
