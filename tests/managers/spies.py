@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -194,17 +192,15 @@ class RemembersInAList(TermBase):
     def __init__(self, env: Env) -> None:
         self._calls: list[float] = []
         self._seen: dict[str, Any] = {"most": 0.0, "rows": np.zeros(env.num_envs)}
-        self._heights: set[int] = set()
-        self._last: deque[float] = deque(maxlen=3)
+        self._last: list[float] = []
 
     def __call__(self, env: Env) -> torch.Tensor:
         height = env.scene.robot.data.root_pos_w[:, 2]
         self._calls.append(float(height.mean()))
-        self._last.append(float(height[0]))
+        self._last = [*self._last[-2:], float(height[0])]
         self._seen["most"] = max(self._seen["most"], self._calls[-1])
         self._seen["rows"] += height.numpy()
-        self._heights.add(round(float(height[0]) * 1000))
-        total = sum(self._calls) + self._seen["most"] + sum(self._last) + len(self._heights)
+        total = sum(self._calls) + self._seen["most"] + sum(self._last)
         return torch.from_numpy(self._seen["rows"]).float() + total
 
 
@@ -247,11 +243,10 @@ class RemembersInAHelper(TermBase):
 
 class RemembersGenerators(TermBase):
     def __init__(self, env: Env) -> None:
-        self._torch = torch.Generator().manual_seed(1)
-        self._python, self._numpy = random.Random(2), np.random.default_rng(3)
+        self._torch, self._others = torch.Generator().manual_seed(1), [torch.Generator().manual_seed(2)]
 
     def __call__(self, env: Env) -> torch.Tensor:
-        return torch.rand(env.num_envs, generator=self._torch) + self._python.random() + float(self._numpy.random())
+        return sum(torch.rand(env.num_envs, generator=generator) for generator in (self._torch, *self._others))
 
 
 class RemembersLate(TermBase):
@@ -292,11 +287,11 @@ def expands_the_batch(env: Any) -> torch.Tensor:
 class Delayed(ImplicitActuator):
     def connect(self, num_envs: int, dt: float, stream: Any) -> None:
         super().connect(num_envs, dt, stream)
-        self._waiting: deque[torch.Tensor] = self.number("_waiting", deque(maxlen=2))
+        self._waiting: list[torch.Tensor] = self.number("_waiting", [])
         self.heat = self.buffer("heat", torch.zeros(1))
 
     def control(self, targets: Any, data: Any) -> torch.Tensor:
-        self._waiting.append(super().control(targets, data).clone())
+        self._waiting = [*self._waiting[-1:], super().control(targets, data).clone()]
         self.heat += self._waiting[-1].abs().mean()
         return self._waiting[0] * torch.exp(-self.heat / 100.0)
 

@@ -53,22 +53,21 @@ class Nested(Stateful):
 
 class Containers(Stateful):  # declares nothing
     def __init__(self) -> None:
-        self.last: deque[Any] = deque(maxlen=2)
-        self.seen, self.order = {0}, {"a": torch.zeros(1), "b": np.zeros(2)}
-        self.pair, self.mode = (torch.ones(2), [1]), frozenset({"a"})
+        self.last: list[Any] = []
+        self.order = {"a": torch.zeros(1), "b": np.zeros(2), "c": np.float32(0.1)}
+        self.pair = (torch.ones(2), [1])
         self.front, self.back = torch.zeros(2), torch.ones(2)
 
     def step(self, k):
-        self.last.append(torch.tensor([float(k)]))
-        self.seen.add(k)
+        self.last = [*self.last[-1:], torch.tensor([float(k)])]
         self.order["a"] += k
+        self.order["c"] *= np.float32(1.1)
         self.order["b"][k % 2] -= k
         self.pair[1].append(k)
         self.pair = (self.pair[0] * 2, [*self.pair[1]], k)
-        self.mode |= {str(k)}
         self.front, self.back = self.back, self.front
         self.front += k
-        numbers = [len(self.seen), len(self.last), len(self.mode), *self.pair[1]]
+        numbers = [len(self.last), *self.pair[1]]
         return [self.last[0], *self.order.values(), self.pair[0], self.front, self.back, torch.tensor(numbers)]
 
 
@@ -84,11 +83,10 @@ class Expanded(Stateful):
 class Generators(Stateful):
     def __init__(self) -> None:
         self.torch = torch.Generator().manual_seed(1)
-        self.others = {"python": random.Random(2), "numpy": np.random.default_rng(3)}
+        self.others = {"second": torch.Generator().manual_seed(2)}
 
     def step(self, k):
-        drawn = self.others["python"].random() + self.others["numpy"].random()
-        return [torch.rand(2, generator=self.torch) + drawn]
+        return [torch.rand(2, generator=self.torch) + torch.rand(2, generator=self.others["second"])]
 
 
 class Saves:
@@ -186,12 +184,18 @@ def test_changed_arguments_replace_settings_but_not_state():
     assert (value.gain.tolist(), value.sum[0].tolist(), value.calls, value.view.tolist()) == ([3], [2, 2], 1, [2, 2])
 
 
-@pytest.mark.parametrize("later", [Saves, torch.Generator, lambda: iter([1])])
+@pytest.mark.parametrize("later", [Saves, torch.Generator, set, deque, random.Random, lambda: iter([1])])
 def test_a_value_that_a_new_object_could_not_restore_is_refused(later):
     value = Declares()
     value.calls = later()
     with pytest.raises(ConfigError, match="'calls' of 'Declares'"):
         value.state_dict()
+
+
+@pytest.mark.parametrize("kind", ["number", "setting"])
+def test_a_value_that_no_checkpoint_can_contain_is_refused_when_it_is_declared(kind):
+    with pytest.raises(ConfigError, match="'own' of 'Declares' is a value of the type set, which"):
+        getattr(Declares(), kind)("own", {1})
 
 
 def test_changed_settings_are_saved_with_the_value_of_the_config():
@@ -215,19 +219,34 @@ class Root(Stateful):
         self.term = self.child("term", term)
 
 
-@pytest.mark.parametrize("value", [torch.zeros(2), 0, [0], {"a": torch.zeros(1)}, np.zeros(2)])
-def test_an_undeclared_value_that_changes_is_named(value):
+SAVEABLE = [
+    (torch.zeros(2), lambda value: value.add_(1)),
+    (np.zeros(2), lambda value: np.add(value, 1, out=value)),
+    ([0], lambda value: value.append(1)),
+    ({"a": torch.zeros(1)}, lambda value: value["a"].add_(1)),
+]
+UNSAVEABLE = [
+    ({1}, lambda value: value.add(2)),
+    ({"a": deque([1.0], maxlen=1)}, lambda value: value["a"].append(2.0)),
+    ([random.Random(1)], lambda value: value[0].random()),
+    (np.random.default_rng(1), lambda value: value.random()),
+]
+
+
+@pytest.mark.parametrize(
+    ("value", "change", "in_constructor"),
+    [*((*row, False) for row in SAVEABLE), *((*row, True) for row in UNSAVEABLE)],
+    ids=lambda value: type(value).__name__,
+)
+def test_an_undeclared_value_that_changes_is_named(value, change, in_constructor):
     term = Declares()
     term.hidden = copy.deepcopy(value)
+    if in_constructor:
+        register_undeclared(term)
     watch = UndeclaredChanges(Root(term))
     term.step(1)
     watch.require_none()
-    if isinstance(term.hidden, list):
-        term.hidden.append(1)
-    elif isinstance(term.hidden, dict):
-        term.hidden["a"] += 1
-    else:
-        term.hidden += 1
+    change(term.hidden)
     with pytest.raises(ConfigError, match=r"'hidden' of 'Declares' changes .* not declared") as caught:
         watch.require_none()
     assert "self.buffer" in caught.value.expected or "self.number" in caught.value.expected

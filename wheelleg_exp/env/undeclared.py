@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import pickle
+import random
 import warnings
-from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
 import torch
+from torch.utils._pytree import tree_leaves
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state.stateful import declarations, tree
-from wheelleg_exp.state.values import PLAIN, encoded, same
+from wheelleg_exp.state.values import PLAIN, is_own, same, snapshot
 
 # These attributes are not state: the declarations themselves, the arguments from which a term's object was made, and
 # the robot's list of written rows, which is empty between steps.
 _IGNORED = frozenset(("_declared", "_made_with", "_stale"))
-_CONTAINERS = (list, tuple, dict, set, frozenset, deque)
 _OTHER = object()
 
 
@@ -29,7 +30,7 @@ class UndeclaredChanges:
 
     def __init__(self, root: object, *, with_root: bool = False) -> None:
         self._root, self._with_root = root, with_root
-        self._before = {(path, name): _seen(value) for path, _, name, value in self._attributes()}
+        self._before = {(path, name): _copied(value) for path, _, name, value in self._attributes()}
 
     def changed(self) -> Iterator[tuple[object, str]]:
         """Yield the owner and the name of each undeclared attribute that has changed."""
@@ -54,12 +55,13 @@ class UndeclaredChanges:
 
     def _changes(self) -> Iterator[tuple[str, object, str]]:
         before = self._before
-        found = [one for one in self._attributes() if not same(_seen(one[3]), before.get((one[0], one[2]), _OTHER))]
+        found = [one for one in self._attributes() if not same(_copied(one[3]), before.get((one[0], one[2]), [_OTHER]))]
         owned = set[int]()  # addresses of declared buffers and of the engine's memory, of which attributes may be views
         for _, owner in tree(self._root) if found else ():
             names = vars(owner) if isinstance(owner, Engine) else declarations(owner)
-            tensors = (tensor for name in names for tensor in _tensors(getattr(owner, name), depth=1))
-            owned |= {tensor.untyped_storage().data_ptr() for tensor in tensors}
+            leaves = tree_leaves([getattr(owner, name) for name in names])
+            leaves += tree_leaves([getattr(leaf, "__dict__", {}) for leaf in leaves if is_own(type(leaf))])
+            owned |= {leaf.untyped_storage().data_ptr() for leaf in leaves if isinstance(leaf, torch.Tensor)}
         for path, owner, name, value in found:
             if not isinstance(value, torch.Tensor) or value.untyped_storage().data_ptr() not in owned:
                 yield path, owner, name
@@ -68,7 +70,7 @@ class UndeclaredChanges:
         """Yield the path of each part, the part, and the name and value of each of its undeclared attributes."""
         for path, owner in tree(self._root):
             # The state dict of a user-defined class saves more than the declared values.
-            saves_more = not _is_own(getattr(type(owner), "state_dict", UndeclaredChanges))
+            saves_more = not is_own(getattr(type(owner), "state_dict", UndeclaredChanges))
             if saves_more or isinstance(owner, Engine) or (owner is self._root and not self._with_root):
                 continue
             for name, value in list(getattr(owner, "__dict__", {}).items()):
@@ -77,25 +79,16 @@ class UndeclaredChanges:
                     yield path, owner, name, value
 
 
-def _tensors(value: object, depth: int) -> Iterator[torch.Tensor]:
-    if isinstance(value, torch.Tensor):
-        yield value
-    elif isinstance(value, (dict, list, tuple)):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _tensors(item, depth)
-    elif depth and _is_own(type(value)):
-        for item in getattr(value, "__dict__", {}).values():
-            yield from _tensors(item, depth - 1)
+def _copied(value: object) -> list[object]:
+    """Return copies of a value, or of a container's items; inner containers and other objects count as unchanged."""
+    if isinstance(value, (set, frozenset)):
+        return [_copy(item) for item in value]
+    items = tree_leaves(value, lambda item: item is not value and isinstance(item, (list, tuple, dict)))
+    return [_copy(item) for item in items]
 
 
-def _is_own(kind: object) -> bool:
-    return str(getattr(kind, "__module__", "")).partition(".")[0] == __name__.partition(".")[0]
-
-
-def _seen(value: object) -> object:
-    """Copy a tensor, a plain value, or a container; other objects count as unchanged."""
-    if isinstance(value, _CONTAINERS):
-        items = value.values() if isinstance(value, dict) else value
-        return [len(value), *(_seen(item) for item in items if not isinstance(item, _CONTAINERS))]
+def _copy(value: object) -> object:
+    if isinstance(value, (random.Random, np.random.Generator)):
+        return pickle.dumps(value)
     is_value = type(value) in PLAIN or isinstance(value, (torch.Tensor, np.ndarray, np.generic))
-    return encoded(value) if is_value else _OTHER
+    return snapshot(value) if is_value else _OTHER

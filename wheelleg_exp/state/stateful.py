@@ -10,41 +10,30 @@ class mean_speed(TermBase):
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar, cast
 
-import numpy as np
 import torch
+from torch.utils._pytree import tree_leaves
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.state.values import PLAIN, Generator, Unsaveable, encoded, is_saving, restored, same, snapshot
+from wheelleg_exp.state.values import PLAIN, Unsaveable, encoded, is_own, is_saving, restored, same, snapshot
 
 T = TypeVar("T")
 Kind = Literal["buffer", "number", "setting", "part"]
-_PACKAGE = __name__.partition(".")[0]
 _DECLARED = "_declared"  # the attribute with the declarations of an object
-_MISSING = object()
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """What an object has declared about one of its attributes.
-
-    Attributes:
-        kind: buffer, number, setting, or part; see ``Stateful``.
-        initial: an encoded copy of the first value; None for buffers and parts.
-        saved: whether checkpoints contain the attribute.
-        fill: the number to which a reset sets the rows of a buffer; None if a reset does not change the buffer.
-        is_automatic: whether ``register_undeclared`` registered the attribute, because its class does not declare it.
-    """
+    """What an object has declared about one of its attributes."""
 
     kind: Kind
-    initial: object = None
-    saved: bool = True
-    fill: float | None = None
-    is_automatic: bool = False
+    initial: object = None  # an encoded copy of the first value; None for buffers and parts
+    saved: bool = True  # whether checkpoints contain the attribute
+    fill: float | None = None  # the number to which a reset sets the rows of a buffer; None: it does not change them
+    is_automatic: bool = False  # whether ``register_undeclared`` registered what the class does not declare
 
 
 class Stateful:
@@ -68,11 +57,12 @@ class Stateful:
 
     def number(self, name: str, value: T, *, saved: bool = True) -> T:
         """Declare a number, a text, None, a generator, or lists and dictionaries of these."""
-        return _declare(self, name, value, Declaration("number", encoded(value) if saved else None, saved))
+        initial = _encoded(self, name, value) if saved else None
+        return _declare(self, name, value, Declaration("number", initial, saved))
 
     def setting(self, name: str, value: T) -> T:
         """Declare a tensor or plain value from the config that events or curricula can change."""
-        return _declare(self, name, value, Declaration("setting", encoded(value)))
+        return _declare(self, name, value, Declaration("setting", _encoded(self, name, value)))
 
     def child(self, name: str, value: T, *, saved: bool = True) -> T:
         """Declare an object with state, or a list or dictionary of such objects; None means no object."""
@@ -101,8 +91,7 @@ def _declare(owner: object, name: str, value: T, declared: Declaration) -> T:
 
 def declarations(owner: object) -> dict[str, Declaration]:
     """Return what an object has declared, by the names of its attributes."""
-    found: dict[str, Declaration] = getattr(owner, "__dict__", {}).get(_DECLARED, {})
-    return found
+    return cast("dict[str, Declaration]", getattr(owner, "__dict__", {}).get(_DECLARED, {}))
 
 
 def parts(owner: object) -> Iterator[tuple[str, str | int | None, object]]:
@@ -134,17 +123,8 @@ def save(owner: object) -> dict[str, object]:
     found: dict[str, object] = {}
     for name, declared in declarations(owner).items():
         if declared.saved and declared.kind != "part":
-            value = getattr(owner, name)
-            try:
-                # A new object has nothing into which the state of a network or a generator could be restored.
-                is_plain = type(declared.initial) in PLAIN and declared.kind == "number"
-                if is_plain and (is_saving(value) or isinstance(value, Generator)):
-                    raise Unsaveable(value)
-                now = encoded(value)
-            except Unsaveable as error:
-                message = f"'{name}' of '{type(owner).__qualname__}' is {error}, which checkpoints cannot contain"
-                expected = "tensors, numbers, texts, and lists and dictionaries of these"
-                raise ConfigError(message, key=getattr(owner, "path", None), expected=expected) from error
+            is_plain = type(declared.initial) in PLAIN and declared.kind == "number"
+            now = _encoded(owner, name, getattr(owner, name), was_plain=is_plain)
             if declared.kind == "buffer" or not same(now, declared.initial):
                 found[name] = now
     for name, key, item in parts(owner):
@@ -157,12 +137,24 @@ def save(owner: object) -> dict[str, object]:
     return found
 
 
+def _encoded(owner: object, name: str, value: object, *, was_plain: bool = False) -> object:
+    """Return what a checkpoint stores of an attribute; raise ConfigError if a checkpoint cannot contain the value."""
+    try:
+        # A new object has nothing into which the state of a network or a generator could be restored.
+        if was_plain and (is_saving(value) or isinstance(value, torch.Generator)):
+            raise Unsaveable(value)
+        return encoded(value)
+    except Unsaveable as error:
+        message = f"'{name}' of '{type(owner).__qualname__}' is {error}, which checkpoints cannot contain"
+        expected = "tensors, numbers, texts, and lists and dictionaries of these"
+        raise ConfigError(message, key=getattr(owner, "path", None), expected=expected) from error
+
+
 def restore(owner: object, saved: Mapping[str, object]) -> None:
     """Restore what ``save`` returned; numbers and settings that ``saved`` lacks get their initial values."""
     for name, declared in declarations(owner).items():
         if declared.saved and declared.kind != "part" and (name in saved or declared.kind != "buffer"):
-            present = getattr(owner, name)
-            setattr(owner, name, restored(saved.get(name, declared.initial), present))
+            setattr(owner, name, restored(saved.get(name, declared.initial), getattr(owner, name)))
     for name, key, item in parts(owner):
         state = saved.get(name, {})
         if key is not None and isinstance(state, Mapping):
@@ -189,32 +181,23 @@ def register_undeclared(owner: object, owned: frozenset[int] = frozenset()) -> N
     and of plain objects such as dataclasses of noise. ``owned`` has the ids of objects that other objects own, such as
     the robot: references to them are not state.
     """
-    if isinstance(owner, Stateful) and type(owner).__module__.partition(".")[0] == _PACKAGE:
+    if isinstance(owner, Stateful) and is_own(type(owner)):
         return
     for name, value in vars(owner).copy().items():
-        if name == _DECLARED or name in declarations(owner) or not _is_registrable(value, owned):
+        leaves = tree_leaves(value)
+        if name == _DECLARED or name in declarations(owner) or any(id(leaf) in owned for leaf in leaves):
             continue
+        for leaf in leaves:
+            if isinstance(leaf, Stateful):
+                register_undeclared(leaf, owned)
         kind: Kind = "number" if isinstance(owner, Stateful) else "setting"
         kind = "buffer" if isinstance(value, torch.Tensor) else "part" if isinstance(value, Stateful) else kind
-        initial = encoded(value) if kind in ("number", "setting") else None
-        declared = Declaration(kind, initial, is_automatic=kind != "setting")
+        try:
+            initial = None if kind == "part" else encoded(value)
+        except Unsaveable:
+            continue
+        declared = Declaration(kind, None if kind == "buffer" else initial, is_automatic=kind != "setting")
         _declare(owner, name, value, declared)
-
-
-def _is_registrable(value: object, owned: frozenset[int]) -> bool:
-    if isinstance(value, (list, tuple, set, frozenset, deque)):
-        return all(_is_registrable(item, owned) for item in value)
-    if isinstance(value, dict):
-        return all(_is_registrable(item, owned) for pair in value.items() for item in pair)
-    if id(value) in owned:
-        return False
-    if isinstance(value, Stateful):
-        register_undeclared(value, owned)
-        return True
-    try:
-        return type(value) in PLAIN or isinstance(value, np.generic) or encoded(value) is not None
-    except Unsaveable:
-        return False
 
 
 class Settings:
@@ -239,11 +222,11 @@ class Settings:
         """Return each changed setting's present value and its value from the config, by group and name."""
         found: dict[str, dict[str, object]] = {}
         for (group, name), now in self._present().items():
-            was = self._base.get((group, name), _MISSING)
-            if now is was or same(now, was):
+            was = self._base.get((group, name))
+            if (group, name) in self._base and same(now, was):
                 continue
             try:
-                change = {"now": encoded(now), "was": encoded(None if was is _MISSING else was)}
+                change = {"now": encoded(now), "was": encoded(was)}
             except Unsaveable as error:
                 message = f"the setting '{name}' has changed to or from {error}, which checkpoints cannot contain"
                 expected = "a tensor, a number, a text, or lists and dictionaries of these"
