@@ -23,10 +23,7 @@ _OTHER = object()
 
 
 class UndeclaredChanges:
-    """Compares the undeclared attributes of an environment's parts now with those in some later step.
-
-    With ``with_root``, the attributes of the environment itself are compared, too.
-    """
+    """Compares the undeclared attributes of an environment's parts (``with_root``: also its own) with later ones."""
 
     def __init__(self, root: object, *, with_root: bool = False) -> None:
         self._root, self._with_root = root, with_root

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import torch
 from torch.utils._pytree import tree_leaves
@@ -120,11 +120,10 @@ def tree(owner: object, path: str = "env") -> Iterator[tuple[str, object]]:
 
 def save(owner: object) -> dict[str, object]:
     """Return an object's state as tensors and plain values, by attribute; parts give nested dictionaries."""
-    found: dict[str, object] = {}
+    found: dict[str, Any] = {}
     for name, declared in declarations(owner).items():
         if declared.saved and declared.kind != "part":
-            is_plain = type(declared.initial) in PLAIN and declared.kind == "number"
-            now = _encoded(owner, name, getattr(owner, name), was_plain=is_plain)
+            now = _encoded(owner, name, getattr(owner, name), declared)
             if declared.kind == "buffer" or not same(now, declared.initial):
                 found[name] = now
     for name, key, item in parts(owner):
@@ -133,12 +132,13 @@ def save(owner: object) -> dict[str, object]:
             if key is None:
                 found[name] = state
             else:
-                cast("dict[object, object]", found.setdefault(name, {}))[key] = state
+                found.setdefault(name, {})[key] = state
     return found
 
 
-def _encoded(owner: object, name: str, value: object, *, was_plain: bool = False) -> object:
+def _encoded(owner: object, name: str, value: object, declared: Declaration | None = None) -> object:
     """Return what a checkpoint stores of an attribute; raise ConfigError if a checkpoint cannot contain the value."""
+    was_plain = declared is not None and declared.kind == "number" and type(declared.initial) in PLAIN
     try:
         # A new object has nothing into which the state of a network or a generator could be restored.
         if was_plain and (is_saving(value) or isinstance(value, torch.Generator)):
@@ -156,11 +156,10 @@ def restore(owner: object, saved: Mapping[str, object]) -> None:
         if declared.saved and declared.kind != "part" and (name in saved or declared.kind != "buffer"):
             setattr(owner, name, restored(saved.get(name, declared.initial), getattr(owner, name)))
     for name, key, item in parts(owner):
-        state = saved.get(name, {})
+        state: Any = saved.get(name, {})
         if key is not None and isinstance(state, Mapping):
             state = state.get(key)
         if declarations(owner)[name].saved and state is not None:
-            state = cast("Mapping[str, object]", state)
             item.load_state_dict(state) if is_saving(item) else restore(item, state)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
-from typing import Any, Protocol, TypeGuard, TypeVar, cast, runtime_checkable
+from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
 import torch
@@ -19,13 +18,6 @@ class NamedStream(torch.Generator):
     """A random generator whose state ``Streams`` saves, so that the terms that draw from it do not save it."""
 
 
-@runtime_checkable
-class _Saving(Protocol):
-    def state_dict(self) -> Mapping[str, object]: ...
-
-    def load_state_dict(self, saved: Mapping[str, object], /) -> object: ...
-
-
 class Unsaveable(Exception):
     """A value that a checkpoint cannot contain, such as a function or an open file."""
 
@@ -34,9 +26,9 @@ class Unsaveable(Exception):
         super().__init__(f"a value of the type {name}")
 
 
-def is_saving(value: object) -> TypeGuard[_Saving]:
-    """Return whether a value is an object with ``state_dict`` and ``load_state_dict``, such as a network."""
-    return isinstance(value, _Saving) and not isinstance(value, type)
+def is_saving(value: object) -> TypeGuard[Any]:
+    """Return whether an object has ``state_dict`` and ``load_state_dict``, such as a network or a ``Stateful``."""
+    return hasattr(type(value), "state_dict") and hasattr(type(value), "load_state_dict")
 
 
 def is_own(kind: object) -> bool:
