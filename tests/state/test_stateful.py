@@ -209,6 +209,10 @@ def test_changed_settings_are_saved_with_the_value_of_the_config():
     own = {"limit": NAN, "offset": 0.0, "ranges": [1.0, 3.0], "helper": Saves(), "function": len}
     Settings({"params": own}, "env.rewards.own").load_state_dict(state)
     assert (own["limit"], own["ranges"], own["helper"].total, own["added"].tolist()) == (0.0, [1.0, 3.0], 3.0, [1.0])
+    params["seen"] = {1}
+    with pytest.raises(ConfigError, match="'seen' has changed"):
+        settings.state_dict()
+    del params["seen"]
     params["function"] = max
     with pytest.raises(ConfigError, match="'function' has changed"):
         settings.state_dict()
@@ -227,6 +231,7 @@ SAVEABLE = [
 ]
 UNSAVEABLE = [
     ({1}, lambda value: value.add(2)),
+    ({"a": {1}}, lambda value: value["a"].add(2)),
     ({"a": deque([1.0], maxlen=1)}, lambda value: value["a"].append(2.0)),
     ([random.Random(1)], lambda value: value[0].random()),
     (np.random.default_rng(1), lambda value: value.random()),

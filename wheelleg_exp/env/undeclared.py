@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
 import random
 import warnings
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,14 +16,18 @@ from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.state.stateful import declarations, tree
 from wheelleg_exp.state.values import PLAIN, is_own, same, snapshot
 
-# These attributes are not state: the declarations themselves, the arguments from which a term's object was made, and
-# the robot's list of written rows, which is empty between steps.
-_IGNORED = frozenset(("_declared", "_made_with", "_stale"))
+# These attributes are not state: the declarations themselves, the arguments from which a term's object was made, the
+# robot's list of written rows, which is empty between steps, and the fields that events write, for error messages.
+_IGNORED = frozenset(("_declared", "_made_with", "_stale", "_asked"))
+_VALUES = (*PLAIN, torch.Tensor, np.ndarray, np.generic, set, frozenset, deque, random.Random, np.random.Generator)
 _OTHER = object()
 
 
 class UndeclaredChanges:
-    """Compares the undeclared attributes of an environment's parts (``with_root``: also its own) with later ones."""
+    """Compares the undeclared attributes of an environment's parts now with those in some later step.
+
+    With ``with_root``, the attributes of the environment itself are compared, too.
+    """
 
     def __init__(self, root: object, *, with_root: bool = False) -> None:
         self._root, self._with_root = root, with_root
@@ -77,15 +81,6 @@ class UndeclaredChanges:
 
 
 def _copied(value: object) -> list[object]:
-    """Return copies of a value, or of a container's items; inner containers and other objects count as unchanged."""
-    if isinstance(value, (set, frozenset)):
-        return [_copy(item) for item in value]
-    items = tree_leaves(value, lambda item: item is not value and isinstance(item, (list, tuple, dict)))
-    return [_copy(item) for item in items]
-
-
-def _copy(value: object) -> object:
-    if isinstance(value, (random.Random, np.random.Generator)):
-        return pickle.dumps(value)
-    is_value = type(value) in PLAIN or isinstance(value, (torch.Tensor, np.ndarray, np.generic))
-    return snapshot(value) if is_value else _OTHER
+    """Copy a value, or a container's items; other objects, and lists and dictionaries in these, count as unchanged."""
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else [value]
+    return [snapshot(item) if isinstance(item, _VALUES) else _OTHER for item in items]

@@ -167,18 +167,16 @@ def adopt(value: Stateful, fresh: Stateful) -> None:
     """Copy the settings of the object ``fresh`` to ``value``; keep the state and tensor addresses of ``value``."""
     state = value.state_dict()
     for name, item in vars(fresh).items():
-        present = vars(value).get(name)
-        vars(value)[name] = restored(item, present) if isinstance(item, torch.Tensor) else item
+        vars(value)[name] = restored(item, vars(value).get(name)) if isinstance(item, torch.Tensor) else item
     register_undeclared(value)
     value.load_state_dict(state)
 
 
 def register_undeclared(owner: object, owned: frozenset[int] = frozenset()) -> None:
-    """Declare the tensors and plain values that the class of an object assigned but did not declare.
+    """Declare the values that an object has, but did not declare, if a checkpoint can contain them.
 
-    Only attributes of user-defined classes are registered, for classes that were written before declarations existed,
-    and of plain objects such as dataclasses of noise. ``owned`` has the ids of objects that other objects own, such as
-    the robot: references to them are not state.
+    This serves user-defined classes that were written before declarations existed, and plain objects such as
+    dataclasses of noise. References to objects whose ids are in ``owned``, such as the robot, are not state.
     """
     if isinstance(owner, Stateful) and is_own(type(owner)):
         return
@@ -225,7 +223,7 @@ class Settings:
             if (group, name) in self._base and same(now, was):
                 continue
             try:
-                change = {"now": encoded(now), "was": encoded(was)}
+                change = {"now": encoded(self._groups[group][name]), "was": encoded(was)}
             except Unsaveable as error:
                 message = f"the setting '{name}' has changed to or from {error}, which checkpoints cannot contain"
                 expected = "a tensor, a number, a text, or lists and dictionaries of these"

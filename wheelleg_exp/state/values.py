@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import pickle
+import random
+from collections import deque
 from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
@@ -61,11 +64,13 @@ def encoded(value: object) -> object:
 
 
 def snapshot(value: object) -> object:
-    """Return ``encoded(value)``, or the value itself if a checkpoint cannot contain it."""
+    """Return a copy that shows later changes of a value; functions and most other objects are returned uncopied."""
     try:
         return encoded(value)
     except Unsaveable:
-        return value
+        if isinstance(value, (set, frozenset, deque)):
+            return [*map(snapshot, value)]
+        return pickle.dumps(value) if isinstance(value, (random.Random, np.random.Generator)) else value
 
 
 def restored(saved: Any, present: Any) -> Any:
@@ -75,8 +80,10 @@ def restored(saved: Any, present: Any) -> Any:
     elif is_saving(present):
         present.load_state_dict(saved)
     elif isinstance(present, np.ndarray) and isinstance(saved, torch.Tensor):
-        memory = torch.from_numpy(present) if present.flags.writeable else None
-        return restored(saved, memory).cpu().numpy()
+        array = saved.cpu().numpy()
+        if (present.shape, present.dtype) != (array.shape, array.dtype) or not present.flags.writeable:
+            return array.copy()
+        np.copyto(present, array)
     elif isinstance(present, np.generic) and type(saved) in PLAIN:
         return type(present)(saved)
     elif isinstance(saved, torch.Tensor):
