@@ -17,8 +17,8 @@ from wheelleg_exp.state.stateful import declarations, tree
 from wheelleg_exp.state.values import PLAIN, is_own, same, snapshot
 
 # These attributes are not state: the declarations themselves, the arguments from which a term's object was made, the
-# robot's list of written rows, which is empty between steps, and the fields that events write, for error messages.
-_IGNORED = frozenset(("_declared", "_made_with", "_stale", "_asked"))
+# robot's list of written rows, which is empty between steps, and the model fields that are checked after events.
+_IGNORED = frozenset(("_declared", "_made_with", "_stale", "_written_fields"))
 _VALUES = (*PLAIN, torch.Tensor, np.ndarray, np.generic, set, frozenset, deque, random.Random, np.random.Generator)
 _OTHER = object()
 

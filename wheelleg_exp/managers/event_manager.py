@@ -33,7 +33,8 @@ class EventManager(ManagerBase):
         self._fired_once: dict[str, torch.Tensor] = self.buffer("_fired_once", {})
         self.fired: dict[str, torch.Tensor] = self.buffer("fired", {})
         self._realistic = {*env.options.realism.events} if env.exact_envs else set()
-        self._asked: dict[str, set[str]] = {name: set() for name in self._terms}
+        # the model fields that each event term has asked for, in order to write to them
+        self._written_fields: dict[str, set[str]] = {name: set() for name in self._terms}
         for name, term in self._terms.items():
             mode = term.fields["mode"]
             term.form = NoForm()
@@ -52,7 +53,7 @@ class EventManager(ManagerBase):
         """Create the objects of event terms after the simulation has been built."""
         for name, term in self._terms.items():
             instantiate_term(term, self._env)
-            self._note_asked(name)
+            self._note_written_fields(name)
 
     @property
     def active_terms(self) -> dict[str, list[str]]:  # type: ignore[override]  # Isaac Lab's return type
@@ -126,13 +127,13 @@ class EventManager(ManagerBase):
     def _run(self, name: str, term: Term, ids: torch.Tensor | None) -> None:
         term(self._env, ids)
         self._env.scene.robot.data.invalidate()  # Clear cached robot data, because an event can change the robot.
-        self._note_asked(name)
-        require_finite_writes(self._env, term.path, self._asked[name], ids)
+        self._note_written_fields(name)
+        require_finite_writes(self._env, term.path, self._written_fields[name], ids)
 
-    def _note_asked(self, name: str) -> None:
+    def _note_written_fields(self, name: str) -> None:
         asked = self._env.scene.sim.asked
         if asked:
-            self._asked[name] |= asked
+            self._written_fields[name] |= asked
             asked.clear()
 
     def reset(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
