@@ -99,6 +99,36 @@ def test_buffers_that_share_a_tensor_may_part(order, doubles):
         assert run().tolist() == [expected] * 2
 
 
+def test_buffers_that_share_tensors_of_several_shapes_part():
+    term = Made(now=torch.zeros(2), last=torch.zeros(2))
+
+    def work() -> torch.Tensor:
+        term.now, term.last = term.now * 2.0, term.last + 1.0
+        return term.now - term.last
+
+    _, run = make_part(work, term)
+    for step in range(1, 12):
+        size = 2 if step % 2 else 3
+        term.now = term.last = torch.full((size,), float(step))
+        assert run().tolist() == [step - 1.0] * size
+        assert (term.now.tolist(), term.last.tolist()) == ([2.0 * step] * size, [step + 1.0] * size)
+
+
+def test_a_buffer_in_nested_dictionaries_may_get_other_ones():
+    term = Made(memory={"a": {"b": torch.zeros(1)}})
+    _, run = make_part(lambda: term.memory["a"]["b"] + 0.0, term)
+    for step in range(1, 9):
+        term.memory = {"a": {"b": torch.full((1,), float(step))}}
+        assert float(run()) == step
+
+
+def test_a_list_of_buffers_that_shrinks_runs_without_a_graph():
+    term = Made(memory=[torch.zeros(1) for _ in range(9)])
+    _, run = make_part(lambda: term.memory.pop() + 0.0, term)
+    with pytest.warns(UserWarning, match="'memory' of Made changes"):
+        assert [(float(run()), len(term.memory))[1] for _ in range(8)] == [8, 7, 6, 5, 4, 3, 2, 1]
+
+
 def test_a_buffer_that_is_seen_through_another_is_not_overwritten():
     memory = torch.arange(20.0)
     term = Made(memory=memory, seen=memory[:4])
@@ -195,18 +225,19 @@ def test_a_term_with_undeclared_state_runs_without_a_graph(kind):
 class Scaled(TermBase):
     def __init__(self) -> None:
         self.now, self.scale, self.ranges, self.mode, self.clip = torch.ones(1), 1.0, (0.0, 1.0), "a", None
-        self.keeps, self.kept = False, deque()
+        self.keeps, self.kept, self.late = False, deque(), np.False_
 
     def work(self) -> torch.Tensor:
         if self.keeps:
             self.kept.append(1)
         value = self.now * self.scale * self.ranges[1] * (2.0 if self.mode == "b" else 1.0)
+        value = value * 7.0 if self.late else value
         return value if self.clip is None else value.clamp(max=self.clip)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
-    [("scale", 3.0, 3.0), ("ranges", (0.0, 5.0), 5.0), ("mode", "b", 2.0), ("clip", 0.5, 0.5)],
+    [("scale", 3.0, 3.0), ("ranges", (0.0, 5.0), 5.0), ("mode", "b", 2.0), ("clip", 0.5, 0.5), ("late", np.True_, 7.0)],
 )
 def test_a_setting_of_any_kind_counts_as_soon_as_it_changes(name, value, expected):
     term = Scaled()

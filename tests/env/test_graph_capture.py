@@ -96,6 +96,9 @@ def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
 
     if who == "an observer":
         env.observers.append(clip)
+    elif who == "a command":
+        compute = env.command_manager.compute
+        env.command_manager.compute = lambda dt, draws: compute(dt, draws) or (draws and clip())
     elif who == "a curriculum":
         env.curriculum_manager._terms["clip"] = clip  # The curriculum manager must not be empty.
         env.curriculum_manager.compute = clip
@@ -105,9 +108,9 @@ def _clip_observations_late(env: ManagerBasedRLEnv, who: str) -> list[int]:
     return done
 
 
-@pytest.mark.parametrize("who", ["an observer", "a curriculum", "an event"])
+@pytest.mark.parametrize("who", ["an observer", "a command", "a curriculum", "an event"])
 def test_a_setting_that_changes_within_a_step_counts_in_that_step(who):
-    plain, captured = pair("walk")
+    plain, captured = pair("walk", "env.commands.base_velocity.resampling_time_range=[0.25, 0.3]")
     done = [_clip_observations_late(env, who) for env in (plain, captured)]
     assert_equal_steps(plain, captured, torch.zeros(20, 16, 6))
     assert done[0] == done[1] != []

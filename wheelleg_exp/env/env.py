@@ -171,6 +171,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self._reset_ended(ended)
         if self.command_manager.may_draw(self.step_dt):
             self._advance_commands(draws=True)
+            self._settings_may_have_changed()
         else:
             self._advance_without_draws()
         if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:

@@ -9,8 +9,7 @@ declared (see ``wheelleg_exp.state.Stateful``).
 - Declared **numbers** and the **settings** of terms are the key of a recording. ``GraphCapture`` records one CUDA graph
   for each combination of their values that occurs three times. A captured method may also change a number, if its new
   value depends only on the old numbers: then each replay assigns the recorded value.
-- A method that counts, that changes anything undeclared, or that waits for the GPU, runs without a CUDA graph. A
-  warning names the reason.
+- A method that counts, changes anything undeclared, or waits for the GPU, runs without a CUDA graph, with a warning.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass
-from numbers import Number
 from types import MethodType
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -34,7 +32,7 @@ from wheelleg_exp.errors import SimulationFailure
 from wheelleg_exp.managers.manager_base import Term
 from wheelleg_exp.state import Stateful, tree
 from wheelleg_exp.state.stateful import declarations
-from wheelleg_exp.state.values import PLAIN, same, snapshot
+from wheelleg_exp.state.values import SCALARS, same, snapshot
 
 # After two runs of a method, lazily created tensors exist, and CUDA libraries have allocated their workspaces.
 _RUNS_BEFORE_CAPTURE = 2
@@ -47,7 +45,6 @@ _CALLS_PER_RECORDING = 16
 _RUNS_AFTER_MISMATCH = 64
 # Warn when a method's runs as Python code outnumber the replays of its CUDA graphs by 256.
 _MANY = 256
-_COMBINATIONS = 64  # of settings
 
 Key = tuple[Any, ...]
 Method = TypeVar("Method", bound=Callable[..., object])
@@ -195,15 +192,14 @@ def fits(value: object, tensor: object) -> bool:
 
 def is_plain(value: object) -> bool:
     """Return whether a value is a number, a text, None, or a tuple of these."""
-    return type(value) in PLAIN or isinstance(value, Number) or (type(value) is tuple and all(map(is_plain, value)))
+    return isinstance(value, SCALARS) or (type(value) is tuple and all(map(is_plain, value)))
 
 
-def _frame(value: object) -> object:
+def _frame(value: object, holds_tensors: bool) -> object:
     """Return what must not change in a declared value: the sizes of containers, and values that have no slot."""
-    if isinstance(value, (dict, list)):
+    if isinstance(value, list) or (isinstance(value, dict) and not holds_tensors):
         return len(value)
-    has_slot = isinstance(value, (torch.Tensor, Stateful)) or is_plain(value)
-    return None if has_slot else snapshot(value)
+    return None if isinstance(value, (torch.Tensor, Stateful, dict)) or is_plain(value) else snapshot(value)
 
 
 class GraphCapture:
@@ -225,12 +221,12 @@ class GraphCapture:
         self.env, self.make_graph = env, make_graph
         self.parts: dict[str, CapturedPart] = {}
         self.is_checked = False
-        self.statics: dict[tuple[int, object], torch.Tensor] = {}
+        self.statics: dict[tuple[int, object], torch.Tensor | None] = {}
         self._flags: dict[tuple[int, object], Slot] = {}
         self._places: list[tuple[Any, Any]] = []  # the holder and the key of each setting
         self._present: list[object] = []
         self._sizes: list[tuple[Sized, int]] = []
-        self._identify = functools.lru_cache(_COMBINATIONS)(lambda _: object())
+        self._identify = functools.lru_cache(64)(lambda _: object())
 
     def run(self, method: Callable[..., object], args: tuple[object, ...]) -> object:
         """Run a method of the environment's step, or replay a CUDA graph that was recorded from the method."""
@@ -345,20 +341,18 @@ class Recording:
 class CapturedPart:
     """One method of the environment's step, and the CUDA graphs recorded from it, the least recently used one first.
 
-    If ``is_reset``, the method resets any number of environments, and returns a dictionary of logged numbers. If
-    ``fails``, the method runs without CUDA graphs from now on.
+    If ``is_reset``, the method resets any number of environments, and returns a dictionary of logged numbers.
     """
 
     def __init__(self, capture: GraphCapture, method: Callable[..., Any], is_reset: bool = False) -> None:
         self._capture, self._method, self.is_reset = capture, method, is_reset
-        self.fails = False
+        self.fails = False  # whether the method runs without CUDA graphs from now on
         self.recordings: dict[Key, Recording] = {}
         self._room = _RESET_RECORDINGS if is_reset else _RECORDINGS
         self._patience = _CALLS_PER_RECORDING * self._room
         self._times: dict[Key, int] = {}  # how often keys without a recording occurred; the first one is the oldest
         self._calls = self._missed = 0
-        # A warning names this value if no number and no setting has changed.
-        self._changing = "the number of environments" if is_reset else "the set of values"
+        self._changing = ""  # the label of a buffer whose memory has changed
         self._checked = set[Key]()
         self._drawn = set[torch.Generator]()
 
@@ -387,9 +381,11 @@ class CapturedPart:
                     self._before = [slot for slot in self._capture.slots() if not slot.holds_tensors]
                 elif self._missed == _MANY:
                     changed = (slot.label for slot in self._before if kind_of(slot.value) != kind_of(slot.now))
-                    self._warn(f"{next(changed, self._changing)} changes again and again")
+                    other = self._changing or ("the number of environments" if self.is_reset else "the set of values")
+                    self._warn(f"{next(changed, other)} changes again and again")
                 return self._run(args)
             del self._times[key]
+            self._changing = ""
         self.recordings[key], recording.used = recording, self._calls
         self._missed -= self._missed > 0
         output = recording.replay()
@@ -421,7 +417,7 @@ class CapturedPart:
     def _run_checked(self, args: tuple[object, ...], state: Key) -> object:
         """Run the captured method without a CUDA graph, and find the declared values that the method changes."""
         capture = self._capture
-        before = [(slot, None if slot.holds_tensors else _frame(slot.value)) for slot in capture.slots()]
+        before = [(slot, _frame(slot.value, slot.holds_tensors)) for slot in capture.slots()]
         undeclared = UndeclaredChanges(capture.env, with_root=True)
         streams = [(stream, stream.get_state()) for stream in capture.env.streams.all()]
         found = self._run(args)
@@ -429,13 +425,10 @@ class CapturedPart:
         for slot, frame in before:
             was, now = slot.value, slot.now
             if slot.has_other_tensor:
-                if not fits(now, capture.statics.get(slot.id)):
-                    # Tensors made in inference mode cannot be written in place outside of inference mode.
-                    with torch.inference_mode(False):
-                        capture.statics[slot.id] = torch.empty_like(now)
+                capture.statics.setdefault(slot.id, None)
             elif type(was) in (int, float) and type(now) in (int, float) and now != was:
                 self._give_up(f"{slot.label} counts; use a buffer that is changed in place")
-            elif not slot.holds_tensors and not same(_frame(now), frame):
+            elif was is not None and not same(_frame(now, slot.holds_tensors), frame):
                 self._give_up(f"{slot.label} changes, and is neither a tensor nor a number")
             elif kind_of(was) != kind_of(now):
                 capture.add_flags([slot])
@@ -458,11 +451,15 @@ class CapturedPart:
         return None
 
     def _record(self, args: tuple[object, ...], graph: CudaGraph) -> Recording:
-        capture = self._capture
+        capture, statics = self._capture, self._capture.statics
+        # Tensors made in inference mode cannot be written in place outside of inference mode.
         with torch.inference_mode(False), torch.no_grad():
             inputs = [arg.clone() if isinstance(arg, torch.Tensor) else arg for arg in args]
-            own = [(slot, capture.statics.get(slot.id)) for slot in capture.slots()]
-            keep_tensors([slot._replace(value=static) for slot, static in own if fits(slot.value, static)])
+            own = [slot for slot in capture.slots() if slot.id in statics and isinstance(slot.value, torch.Tensor)]
+            for slot in own:
+                if not fits(slot.value, statics[slot.id]):
+                    statics[slot.id] = torch.empty_like(slot.value)
+            keep_tensors([slot._replace(value=statics[slot.id]) for slot in own])
         before = capture.slots()
         earlier = {slot.id: slot.value for slot in before}
         tensors = [slot for slot in before if isinstance(slot.value, torch.Tensor)]
@@ -501,6 +498,9 @@ class CapturedPart:
         uses = Counter(_address(slot.value) for slot in buffers)
         pinned = {id(slot.value) for slot in buffers if uses[_address(slot.value)] > 1}
         pinned |= {id(slot.holder) for slot in buffers}
+        for slot in reversed(before):  # inner containers before outer ones
+            if id(slot.value) in pinned:
+                pinned.add(id(slot.holder))
         fixed = [slot for slot in before if id(slot.value) in pinned]
         buffers = [slot for slot in buffers if id(slot.value) not in pinned]
         # Copy the containers of the output, but not its tensors: the method may change its containers later.

@@ -56,7 +56,7 @@ class UndeclaredChanges:
 
     def _changes(self) -> Iterator[tuple[str, object, str]]:
         before = self._before
-        found = [one for one in self._attributes() if not same(_copied(one[3]), before.get((one[0], one[2]), [_OTHER]))]
+        found = [one for one in self._attributes() if not same(_copied(one[3]), before.get((one[0], one[2]), _OTHER))]
         owned = set[int]()  # addresses of declared buffers and of the engine's memory, of which attributes may be views
         for _, owner in tree(self._root) if found else ():
             names = vars(owner) if isinstance(owner, Engine) else declarations(owner)
@@ -80,7 +80,9 @@ class UndeclaredChanges:
                     yield path, owner, name, value
 
 
-def _copied(value: object) -> list[object]:
+def _copied(value: object) -> object:
     """Copy a value, or a container's items; other objects, and lists and dictionaries in these, count as unchanged."""
-    items = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else [value]
+    if not isinstance(value, (dict, list, tuple)):
+        return snapshot(value) if isinstance(value, _VALUES) else _OTHER
+    items = value.values() if isinstance(value, dict) else value
     return [snapshot(item) if isinstance(item, _VALUES) else _OTHER for item in items]

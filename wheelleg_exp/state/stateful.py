@@ -11,6 +11,7 @@ class mean_speed(TermBase):
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar, cast
 
@@ -222,14 +223,18 @@ class Settings:
             was = self._base.get((group, name))
             if (group, name) in self._base and same(now, was):
                 continue
-            try:
-                change = {"now": encoded(self._groups[group][name]), "was": encoded(was)}
-            except Unsaveable as error:
-                message = f"the setting '{name}' has changed to or from {error}, which checkpoints cannot contain"
-                expected = "a tensor, a number, a text, or lists and dictionaries of these"
-                raise ConfigError(message, key=self._key, expected=expected) from error
-            found.setdefault(group, {})[name] = change
+            with self._refusing(name):
+                found.setdefault(group, {})[name] = {"now": encoded(now), "was": encoded(was)}
         return found
+
+    @contextmanager
+    def _refusing(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except Unsaveable as error:
+            message = f"the setting '{name}' has changed to or from {error}, which checkpoints cannot contain"
+            expected = "a tensor, a number, a text, or lists and dictionaries of these"
+            raise ConfigError(message, key=self._key, expected=expected) from error
 
     def load_state_dict(self, saved: Mapping[str, Mapping[str, Mapping[str, object]]]) -> None:
         """Restore the changed settings that ``state_dict`` returned; reset other settings to the config's values."""
@@ -241,4 +246,5 @@ class Settings:
             own, change = self._base.get((group, name)), changes.get((group, name))
             wanted = own if change is None or not same(change.get("was", own), own) else change["now"]
             if not same(present.get((group, name)), wanted):
-                self._groups[group][name] = restored(wanted, self._groups[group].get(name))
+                with self._refusing(name):
+                    self._groups[group][name] = restored(wanted, self._groups[group].get(name))

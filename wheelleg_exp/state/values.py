@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import pickle
 import random
-from collections import deque
+from collections import deque, namedtuple
+from numbers import Number
 from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
@@ -13,8 +13,11 @@ import torch
 from torch.utils._pytree import tree_map_only
 
 PLAIN = (bool, int, float, str, type(None))
+SCALARS = (*PLAIN, Number, np.generic)
 T = TypeVar("T")
 Array = np.ndarray[Any, np.dtype[Any]]
+# The type and the content of a value that a checkpoint cannot contain.
+Seen = namedtuple("Seen", ("kind", "content"))
 
 
 class NamedStream(torch.Generator):
@@ -25,8 +28,8 @@ class Unsaveable(Exception):
     """A value that a checkpoint cannot contain, such as a function or an open file."""
 
     def __init__(self, value: object) -> None:
-        name = f"{type(value).__module__}.{type(value).__name__}".removeprefix("builtins.")
-        super().__init__(f"a value of the type {name}")
+        kind = value.kind if isinstance(value, Seen) else type(value)
+        super().__init__(f"a value of the type {kind.__module__}.{kind.__name__}".replace("builtins.", ""))
 
 
 def is_saving(value: object) -> TypeGuard[Any]:
@@ -42,7 +45,8 @@ def is_own(kind: object) -> bool:
 def encoded(value: object) -> object:
     """Return a copy of a value that a checkpoint can contain; raise Unsaveable for other values.
 
-    A generator becomes its state, an object with ``state_dict`` becomes this dictionary, and an array becomes a tensor.
+    A generator becomes its state, an object with ``state_dict`` becomes this dictionary, an array becomes a tensor, and
+    a deque becomes a list.
     """
     if type(value) in PLAIN:
         return value
@@ -54,10 +58,11 @@ def encoded(value: object) -> object:
         return torch.from_numpy(value.copy())
     if isinstance(value, torch.Generator) and not isinstance(value, NamedStream):
         return value.get_state()
-    if isinstance(value, dict):
+    if isinstance(value, dict) and all(type(key) in PLAIN or isinstance(key, (tuple, np.generic)) for key in value):
         return {encoded(key): encoded(item) for key, item in value.items()}
-    if type(value) is list or type(value) is tuple:
-        return type(value)(encoded(item) for item in value)
+    if type(value) in (list, tuple, deque):
+        items = [encoded(item) for item in cast("list[object]", value)]
+        return tuple(items) if isinstance(value, tuple) else items
     if is_saving(value):
         return encoded(dict(value.state_dict()))
     raise Unsaveable(value)
@@ -68,13 +73,23 @@ def snapshot(value: object) -> object:
     try:
         return encoded(value)
     except Unsaveable:
-        if isinstance(value, (set, frozenset, deque)):
+        if isinstance(value, dict):
+            return {key: snapshot(item) for key, item in value.items()}
+        if isinstance(value, (list, tuple, deque)):
             return [*map(snapshot, value)]
-        return pickle.dumps(value) if isinstance(value, (random.Random, np.random.Generator)) else value
+        if isinstance(value, (set, frozenset)):
+            return Seen(type(value), frozenset(value))
+        if isinstance(value, np.random.Generator):
+            return Seen(type(value), snapshot(value.bit_generator.state))
+        if isinstance(value, np.ndarray):
+            return Seen(type(value), value.tolist())
+        return Seen(type(value), value.getstate()) if type(value) is random.Random else value
 
 
 def restored(saved: Any, present: Any) -> Any:
     """Return the value from which ``encoded`` made ``saved``; write it into the object ``present`` if it fits there."""
+    if isinstance(saved, Seen):
+        raise Unsaveable(saved)
     if isinstance(present, torch.Generator):
         present.set_state(saved.cpu())
     elif is_saving(present):
@@ -99,22 +114,23 @@ def restored(saved: Any, present: Any) -> Any:
         own.update(items)
         return own
     elif isinstance(saved, (list, tuple)):
-        old = present[: len(saved)] if isinstance(present, (list, tuple)) else []
+        old = list(present)[: len(saved)] if isinstance(present, (list, tuple, deque)) else []
         values = [restored(item, own) for item, own in itertools.zip_longest(saved, old)]
-        if not isinstance(present, list):
+        if not isinstance(present, (list, deque)):
             return type(saved)(values)
-        present[:] = values
+        present.clear()
+        present.extend(values)
     else:
         return saved
     return present
 
 
 def same(a: object, b: object) -> bool:
-    """Return whether two encoded values are bit-identical: a NaN equals its copy, and 0.0 differs from -0.0."""
+    """Return whether two encoded values are equal: a NaN equals its copy, and 0.0 differs from -0.0."""
     if a is b or type(a) is not type(b):
         return a is b
     if isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
-        alike = (a.dtype, a.shape, a.device) == (b.dtype, b.shape, b.device)
+        alike = (a.dtype, a.shape, a.device, a.layout) == (b.dtype, b.shape, b.device, torch.strided)
         return alike and torch.equal(bytes_of(a), bytes_of(b))
     if isinstance(a, dict) and isinstance(b, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
@@ -134,7 +150,7 @@ def bytes_of(value: torch.Tensor) -> torch.Tensor:
 
 
 def cloned(tree: T, device: torch.device | None = None) -> T:
-    """Copy nested dictionaries, lists, and tuples, including all tensors in them, and move the tensors to a device."""
+    """Copy nested containers of Python's own types, and all tensors in them, and move the tensors to a device."""
     copied = torch.Tensor.clone if device is None else lambda tensor: tensor.to(device)
     return cast(T, tree_map_only(torch.Tensor, lambda tensor: copied(tensor.detach()), tree))
 
