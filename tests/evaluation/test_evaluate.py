@@ -69,7 +69,9 @@ def test_every_tile_gets_its_episodes_and_a_falling_policy_succeeds_on_no_tile(t
     found = evaluate(*task, zeros, protocol("terrain", *short, *kinds))
     names, counts = np.unique(found.episodes["cell_name"], return_counts=True)
     kinds_left = ("rough", "slope", "slope_inverted", "stairs", "stairs_inverted")
-    assert set(names) == {f"{kind}/{level}" for kind in kinds_left for level in (0, 1)}
+    heights = {"rough": ("2mm", "4mm"), **dict.fromkeys(("slope", "slope_inverted"), ("7.5°", "15°"))}
+    heights |= dict.fromkeys(("stairs", "stairs_inverted"), ("4mm", "8mm"))
+    assert set(names) == {f"{kind}/{height}" for kind in kinds_left for height in heights[kind]}
     assert set(counts) == {2}
     assert found.value("terrain/success") == 0.0
     assert {found.value(f"terrain/levels_passed/{kind}") for kind in kinds_left} == {0.0}

@@ -4,6 +4,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from sim.terrain.tiles import placed
@@ -13,7 +14,9 @@ from evaluation.synthetic import DT, fall, still, times
 from wheelleg_exp.evaluation import disturbance_tests, evaluate
 from wheelleg_exp.evaluation.disturbance_tests import tiles
 from wheelleg_exp.evaluation.protocol_options import Strip, Terrain
+from wheelleg_exp.evaluation.scenarios import on_terrain
 from wheelleg_exp.evaluation.trajectories import Trajectories
+from wheelleg_exp.managers.manager_base import build
 from wheelleg_exp.sim.terrain import PyramidSlope, TerrainGenerator, UniformNoise
 
 ALONE = "protocol.terrain=null"
@@ -131,3 +134,30 @@ def test_robots_begin_on_the_floor_of_a_pit_however_wide_the_tile():
     floors = [float(tile.heights.min()) for tile in ground.tiles]
     assert min(floors) < -0.2  # deep pits
     assert ground.terrain_origins[:, 0, 2].tolist() == pytest.approx(floors, abs=2e-3)
+
+
+def _measured(kind: str, heights: np.ndarray, cell: float) -> float:
+    """Return the height of a tile's steps or the amplitude of its ground, mm, or the angle of its slopes, degrees."""
+    if kind.startswith("slope"):
+        return math.degrees(math.atan(float(np.abs(np.diff(heights, axis=0)).max()) / cell))
+    if kind.startswith(("step", "stairs")):
+        steps = np.diff(np.unique(heights))
+        assert np.ptp(steps) < 2e-4  # Heights are multiples of 0.1 mm.
+        return 1000.0 * float(np.ptp(heights)) / len(steps)
+    return 1000.0 * float(np.abs(heights).max())
+
+
+@pytest.mark.parametrize("name", ["terrain", "steps"])
+def test_evaluated_tiles_are_as_high_as_their_labels_say(name):
+    asked = Terrain(**protocol(name)["terrain"])
+    ground = build(tiles(asked, seed=2026), "env.scene.terrain")
+    ground.place(4, 1.0, torch.device("cpu"), lambda: torch.Generator().manual_seed(0))
+    labels = [label.split("/") for label in on_terrain(asked).names]
+    assert len(labels) == len(ground.tiles)
+    for number, (kind, label) in enumerate(labels):
+        tile = ground.tiles[number % asked.levels * ground.num_cols + number // asked.levels]
+        found = _measured(kind, tile.heights, asked.size[0] / (len(tile.heights) - 1))
+        # Random heights almost reach their amplitude.
+        share = 0.05 if kind in ("rough", "grid", "waves") else 0.0
+        assert found == pytest.approx(float(label.rstrip("m°")), abs=0.1, rel=share)
+    assert {label for kind, label in labels if kind == "step_up"} <= {f"{mm}mm" for mm in (5, 10, 15, 20, 25, 30)}

@@ -270,7 +270,10 @@ _BORDER = 2.0  # level ground, m
 
 
 def tiles(options: Terrain, seed: int) -> Node:
-    """Return a terrain config with one column per kind of terrain tile and one row per difficulty level."""
+    """Return a terrain config with one column per kind of terrain tile and one row per difficulty level.
+
+    The settings of row i are those of the difficulty ``(i + 1) / levels``, so that a metric can name them.
+    """
     terrain = copy.deepcopy(options.scene["terrain"])
     kinds = {name: node for name, node in terrain["sub_terrains"].items() if node is not None}
     for node in kinds.values():
@@ -285,6 +288,7 @@ def tiles(options: Terrain, seed: int) -> Node:
         "num_cols": len(kinds),
         "curriculum": True,
         "difficulty_range": [0.0, 1.0],
+        "exact_levels": True,
         "max_init_terrain_level": None,
         "border_width": max(_BORDER, float(terrain.get("border_width", 0.0))),
         "seed": seed,

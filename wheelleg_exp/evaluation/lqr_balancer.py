@@ -1,4 +1,7 @@
-"""A linear-quadratic balancer that acts through the task's own actions: the reference for learned policies."""
+"""A linear-quadratic balancer that acts through the task's own actions: the reference for learned policies.
+
+Its gains follow from the compiled robot with its drives, and from one rule for the cost that holds for every robot.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,17 @@ from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositi
 
 Array = np.ndarray
 
-# `_STATES` weights position, pitch, speed, and pitch rate in the LQR cost; `_INPUT` weights the wheel acceleration.
-_STATES = (200.0, 400.0, 20.0, 4.0)
-_INPUT = 1e-3
+# The LQR cost weights position, pitch, speed, and pitch rate in units of the pendulum's height and of gravity, and the
+# input in units of the one that accelerates the axle with 1 g. The weights were chosen once for four robots: with a
+# smaller weight of the input, a robot survives larger kicks, until it shakes on its soft legs (docs/comparing.md).
+_STATES = (3e-4, 1.0, 0.01, 0.1)
+_INPUT = 0.06
 _HEADING = 4.0  # gain, 1/s
+_ACCELERATION = 0.04  # largest acceleration of the target speed, in g
 # Limit the integrator's input to 0.05 rad, so that a push or a fall causes no integral windup.
 _MOST_ERROR = 0.05
+_NEAR = 2.0  # largest position error that counts, in heights of the pendulum, so that a kick causes no hurry
+_SETTLE_S = 0.5  # time in which the robot's weight comes to rest on its wheels and legs
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,17 @@ class Pendulum:
     @property
     def pole(self) -> float:
         """The unstable pole of the pendulum model, 1/s, at a constant wheel speed relative to the body."""
-        return math.sqrt(self.mass * self.gravity * self.height / self._inertia)
+        return math.sqrt(self.fall)
+
+    @property
+    def fall(self) -> float:
+        """The pitch acceleration per radian of pitch, 1/s², at a constant wheel speed relative to the body."""
+        return self.mass * self.gravity * self.height / self._inertia
+
+    @property
+    def tilt(self) -> float:
+        """The pitch acceleration per wheel acceleration relative to the body; both in rad/s²."""
+        return -self._coupling * self.radius / self._inertia
 
     @property
     def _coupling(self) -> float:
@@ -59,33 +77,13 @@ class Pendulum:
 
     @property
     def _inertia(self) -> float:
-        """The pitch inertia of the robot while the wheels turn with the body, kg·m²."""
-        return self.inertia + self.mass * self.height * self.radius + self._coupling * self.radius
+        """The pitch inertia of the robot while the wheels turn with the body, kg·m².
 
-    def linear(self) -> tuple[Array, Array]:
-        """Return the matrices A (4, 4) and B (4, 1) of the model with the state [position, pitch, speed, pitch rate].
-
-        The pendulum model is linearised at the balanced pitch. The input u is the acceleration of the wheels relative
-        to the body, so the model does not need the motors' armature. With pitch θ, axle speed v, and wheel torque τ,
-        the body's equation is ``inertia·θ'' + mass·height·v' = mass·gravity·height·θ - τ``. The wheels' equation is
-        ``(mass + rolling)·v' + mass·height·θ'' = τ / radius``. The axle speed is ``radius·(w + θ')`` with the pitch
-        rate θ' and the wheel speed w relative to the body.
+        With pitch θ, axle speed v, and wheel torque τ, the body's equation is ``inertia·θ'' + mass·height·v' =
+        mass·gravity·height·θ - τ``. The wheels' equation is ``(mass + rolling)·v' + mass·height·θ'' = τ / radius``.
+        The axle speed is ``radius·(w + θ')`` with the pitch rate θ' and the wheel speed w relative to the body.
         """
-        falls = self.mass * self.gravity * self.height / self._inertia
-        tilts = -self._coupling * self.radius / self._inertia
-        r = self.radius
-        a = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, r * falls, 0, 0], [0, falls, 0, 0]], dtype=np.float64)
-        b = np.array([[0], [0], [r * (1 + tilts)], [tilts]], dtype=np.float64)
-        return a, b
-
-    def gains(self, step_dt: float) -> Array:
-        """Return the LQR gains K (4,) of the feedback u = -K [position, pitch, speed, pitch rate] in discrete time."""
-        a, b = self.linear()
-        # The upper rows of the matrix exponential contain the discrete-time matrices A and B (zero-order hold).
-        whole = linalg.expm(np.block([[a, b], [np.zeros((1, 5))]]) * step_dt)
-        a, b = whole[:4, :4], whole[:4, 4:]
-        cost = linalg.solve_discrete_are(a, b, np.diag(_STATES), np.array([[_INPUT]]))
-        return np.asarray(np.linalg.solve(_INPUT + b.T @ cost @ b, b.T @ cost @ a)[0])
+        return self.inertia + self.mass * self.height * self.radius + self._coupling * self.radius
 
 
 def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
@@ -133,18 +131,117 @@ def _inertia(model: mujoco.MjModel, data: mujoco.MjData, bodies: set[int], axis:
     return total
 
 
-class Reference:
-    """An LQR balancer that is called like a policy, reads the state without noise, and returns the task's actions.
+class Plant:
+    """The compiled robot with its drives on level ground: how its balanced pose answers small changes.
 
-    The target of a wheel is ``w + u / b``: its speed w, the optimal acceleration u, and the ``bandwidth`` b of its
-    drive in 1/s. A speed difference between left and right wheels turns the robot to the commanded heading. All other
-    joints stay at their default positions. The target position of the robot moves at the commanded speed, so that the
-    LQR corrects position errors.
+    The state is [position, pitch, speed, pitch rate] of axle and body, in m and rad. The input is the target of the
+    wheels' speed minus their speed at the start of a control step, rad/s.
+    """
+
+    def __init__(self, env: Env, pendulum: Pendulum, anatomy: Anatomy) -> None:
+        robot, model, wheels = env.scene.robot, env.scene.model, anatomy.standing
+        self._model, self._data = model, at_default(model, robot)
+        self._steps = round(env.step_dt / model.opt.timestep)
+        self._radius, self._signs = pendulum.radius, np.array([float(wheel.sign) for wheel in wheels])
+        free = model.body_jntadr[model.body(anatomy.base).id]
+        first, of_speed = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+        self._place, self._turned = slice(first, first + 3), slice(first + 3, first + 7)
+        self._speed, self._rate = slice(of_speed, of_speed + 3), slice(of_speed + 3, of_speed + 6)
+        self._joints = [model.joint(wheel.joint).id for wheel in wheels]
+        self._angles, self._spins = model.jnt_qposadr[self._joints], model.jnt_dofadr[self._joints]
+        # Each drive: its actuator, position and speed in the state, kp, kd, largest torque, default position, and
+        # whether MuJoCo's solver does not compute its feedback.
+        limits, defaults = (
+            value[0].tolist() for value in (robot.data.joint_effort_limits, robot.data.default_joint_pos)
+        )
+        gains = [value[0].tolist() for value in (robot.data.default_joint_stiffness, robot.data.default_joint_damping)]
+        self._drives = []
+        for actuator in robot.actuators.values():
+            for name, index in zip(actuator.joint_names, actuator.joint_ids.tolist(), strict=True):
+                joint, own = model.joint(name), (*(gain[index] for gain in gains), limits[index], defaults[index])
+                place = (model.actuator(name).id, joint.id, int(joint.qposadr[0]), int(joint.dofadr[0]))
+                self._drives.append((*place, *own, actuator.reads_state))
+        self._axis = np.array(anatomy.forward)
+        frame = self._data.xmat[model.body(anatomy.base).id].reshape(3, 3)
+        self._forward, self._up = frame @ self._axis, frame @ np.array(anatomy.up)
+        self._left = np.cross(self._up, self._forward)
+        self._turn(pendulum.lean)
+        self._data.qpos[self._place] -= (self._axle() @ self._up - pendulum.radius) * self._up
+        turned = self._data.qpos[self._turned].copy()
+        for _ in range(round(_SETTLE_S / model.opt.timestep)):
+            self._step(0.0 * self._signs)
+            self._data.qpos[self._turned], self._data.qvel[self._rate] = turned, 0.0
+        self._pose = self._data.qpos.copy()
+
+    def linear(self) -> tuple[Array, Array]:
+        """Return the matrices A (4, 4) and B (4, 1) of one control step, from central differences."""
+        columns = []
+        for change in np.diag((1e-3, 1e-3, 1e-2, 1e-2, 1e-1)):
+            columns.append((self._after(change) - self._after(-change)) / (2.0 * change.max()))
+        return np.stack(columns[:4], axis=1), columns[4][:, None]
+
+    def _after(self, change: Array) -> Array:
+        """Return the state (4,) one control step after a change of the balanced state and the input, (5,)."""
+        data, (place, pitch, speed, rate, offset) = self._data, change
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[:] = self._pose
+        self._turn(pitch)
+        data.qpos[self._angles] += self._signs * place / self._radius
+        turning = rate * self._left
+        data.qvel[self._speed] = speed * self._forward + np.cross(turning, data.qpos[self._place] - self._axle())
+        data.qvel[self._rate] = self._frame().T @ turning
+        data.qvel[self._spins] = self._signs * (speed / self._radius - rate)
+        target = data.qvel[self._spins] + self._signs * offset
+        for _ in range(self._steps):
+            self._step(target)
+        frame = self._frame()
+        pitch, rate = -math.asin(frame @ self._axis @ self._up), frame @ data.qvel[self._rate] @ self._left
+        rolled, rolling = (float((v * self._signs).mean()) for v in (data.qpos[self._angles], data.qvel[self._spins]))
+        return np.array([(rolled + pitch) * self._radius, pitch, (rolling + rate) * self._radius, rate])
+
+    def _step(self, wheel_speeds: Array) -> None:
+        """Simulate a physics step in which the drives hold the default pose and turn the wheels at target speeds."""
+        data, speeds = self._data, dict(zip(self._joints, wheel_speeds, strict=True))
+        for actuator, joint, at, moves, kp, kd, most, default, reads_state in self._drives:
+            torque = kp * default + kd * speeds.get(joint, 0.0)
+            if reads_state:
+                torque = np.clip(torque - kp * data.qpos[at] - kd * data.qvel[moves], -most, most)
+            data.ctrl[actuator] = torque
+        mujoco.mj_step(self._model, data)
+
+    def _turn(self, pitch: float) -> None:
+        """Turn the body about the axle by a pitch, rad; the wheels do not turn."""
+        data, about, turn, turned, moved = self._data, self._axle(), np.zeros(4), np.zeros(4), np.zeros(3)
+        mujoco.mju_axisAngle2Quat(turn, self._left, pitch)
+        mujoco.mju_rotVecQuat(moved, data.qpos[self._place] - about, turn)
+        mujoco.mju_mulQuat(turned, turn, data.qpos[self._turned])
+        data.qpos[self._place], data.qpos[self._turned] = about + moved, turned
+        data.qpos[self._angles] -= self._signs * pitch
+
+    def _axle(self) -> Array:
+        """Return the middle of the wheels' axes, m, (3,)."""
+        mujoco.mj_kinematics(self._model, self._data)
+        return np.asarray(self._data.xanchor[self._joints].mean(axis=0))
+
+    def _frame(self) -> Array:
+        """Return the axes of the base in the world, (3, 3)."""
+        frame = np.zeros(9)
+        mujoco.mju_quat2Mat(frame, self._data.qpos[self._turned])
+        return frame.reshape(3, 3)
+
+
+class Reference:
+    """An LQR balancer that is called like a policy, reads the true state, and returns the task's actions.
+
+    The target of a wheel is its speed plus u, the optimal input of the compiled robot (``Plant``). A speed difference
+    between left and right wheels turns the robot to the commanded heading. All other joints stay at their default
+    positions. The target speed follows the command with a limited acceleration, for which pitch and input are fed
+    forward; the target position moves at this speed.
 
     An integrator with the time constant of the robot's unstable pole estimates the pitch at which the robot balances,
     which depends on the centre of mass, external forces, and the slope. Its input is the difference between the
-    measured pitch acceleration and the linear model's prediction. The input is zero in balance, so that the position
-    has no steady-state error, and velocity commands cause no windup.
+    measured pitch acceleration and the pendulum model's prediction. The input is zero in balance, so that the position
+    has no steady-state error, and while a drive is at its limit.
     """
 
     name = "reference"
@@ -154,66 +251,74 @@ class Reference:
         wheels = anatomy.standing
         self._env, device, robot = env, env.device, env.scene.robot
         self._command = env.command_manager.get_term(command)
-        self.gains = self.pendulum.gains(env.step_dt)
-        self._k = torch.tensor(self.gains, dtype=torch.float32, device=device)
         names = [wheel.joint for wheel in wheels]
+        self._terms = _terms(env, names)
         ids = [robot.joint_names.index(name) for name in names]
         self._wheels = torch.tensor(ids, device=device)
         self._signs = torch.tensor([float(wheel.sign) for wheel in wheels], device=device)
         # In a left turn, left wheels get a negative speed change and right wheels get a positive speed change.
         sides = {"left": -1.0, "right": 1.0, "middle": 0.0}
         self._sides = torch.tensor([sides[wheel.side] for wheel in wheels], device=device)
-        # A wheel drive's bandwidth, 1/s, is its damping divided by its armature, but at most the control frequency.
-        damping = robot.data.default_joint_damping[0, ids].mean()
-        armature = robot.data.default_joint_armature[0, ids].mean()
-        most = 1.0 / env.step_dt
-        self.bandwidth = most if armature <= 0.0 else min(float(damping / armature), most)
+        # The largest input that a wheel's drive does not clip, rad/s.
+        self._most = float((robot.data.joint_effort_limits[0, ids] / robot.data.default_joint_damping[0, ids]).mean())
+        a, b = Plant(env, self.pendulum, anatomy).linear()
+        self.gains = _gains(a, b, self.pendulum, env.step_dt)
+        self._k = torch.tensor(self.gains, dtype=torch.float32, device=device)
+        # Pitch, rad, and input, rad/s, per acceleration: the pitch rate stays, and the speed grows evenly.
+        fed = np.linalg.solve([[a[2, 1], b[2, 0]], [a[3, 1], b[3, 0]]], [env.step_dt, 0.0])
+        self._fed_pitch, self._fed_input = fed.tolist()
         self._forward = torch.tensor(anatomy.forward, dtype=torch.float32, device=device)
         self._up = torch.tensor(anatomy.up, dtype=torch.float32, device=device)
         self._left = torch.linalg.cross(self._up, self._forward)
-        self._terms = _terms(env, names)
-        self._place, self._heading, self._lean = torch.zeros(3, env.num_envs, device=device).unbind()
+        self._place, self._heading, self._lean, self._speed = torch.zeros(4, env.num_envs, device=device).unbind()
         self._before = torch.zeros(3, env.num_envs, device=device)
+        self._is_clipped = torch.zeros(env.num_envs, dtype=torch.bool, device=device)
+        centres = np.mean([wheel.centre for wheel in wheels], axis=0)
+        self._axle = torch.tensor(centres, dtype=torch.float32, device=device)
 
     def describe(self) -> dict[str, object]:
         """Return the pendulum model and the LQR gains as a dictionary for JSON."""
         model = {"pendulum": asdict(self.pendulum), "pole_per_s": self.pendulum.pole, "gains": self.gains.tolist()}
-        return {**model, "integrator_per_s": self.pendulum.pole, "bandwidth_per_s": self.bandwidth}
+        return {**model, "integrator_per_s": self.pendulum.pole}
 
     def __call__(self, observations: Mapping[str, object] | None = None) -> torch.Tensor:
         """Return raw actions (N, A). The observations are not used."""
         del observations
-        env, data = self._env, self._env.scene.robot.data
+        env, data, dt = self._env, self._env.scene.robot.data, self._env.step_dt
         gravity = data.projected_gravity_measured
         pitch = torch.atan2(gravity @ self._forward, -(gravity @ self._up))
         rate = data.root_ang_vel_measured @ self._left
-        turned = (data.joint_pos_measured[:, self._wheels] * self._signs).mean(dim=1)
         speed = (data.joint_vel[:, self._wheels] * self._signs).mean(dim=1)
-        place, velocity = (turned + pitch) * self.pendulum.radius, (speed + rate) * self.pendulum.radius
-        yaw = data.heading_w
-        fresh = env.episode_length_buf == 0
-        self._place = torch.where(fresh, place, self._place)
+        along = pitch.cos().unsqueeze(1) * self._forward + pitch.sin().unsqueeze(1) * self._up
+        of_axle = data.root_link_lin_vel_b + torch.linalg.cross(data.root_ang_vel_b, self._axle.expand_as(along))
+        velocity = (of_axle * along).sum(dim=1)
+        yaw, fresh = data.heading_w, env.episode_length_buf == 0
+        self._place, self._speed = (torch.where(fresh, 0.0, value) for value in (self._place, self._speed))
         self._heading = torch.where(fresh, yaw, self._heading)
-        lean = self._balance(fresh, torch.stack((pitch, rate, speed)))
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
-        error = torch.stack((place - self._place, pitch - lean, velocity - forward, rate), dim=1)
-        wheel = speed - (error @ self._k) / self.bandwidth
+        most = _ACCELERATION * self.pendulum.gravity * dt
+        change = (forward - self._speed).clamp(-most, most)
+        self._speed = self._speed + change
+        lean = self._balance(fresh, torch.stack((pitch, rate, speed))) + change / dt * self._fed_pitch
+        near = self._place.clamp(-_NEAR * self.pendulum.height, _NEAR * self.pendulum.height)
+        error = torch.stack((near, pitch - lean, velocity - self._speed, rate), dim=1)
+        wheel = speed + change / dt * self._fed_input - error @ self._k
+        self._is_clipped = (wheel - speed).abs() > self._most
         # Wrap the heading error to ±π, so that the robot turns by the smaller angle.
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
-        self._place = self._place + forward * env.step_dt
-        self._heading = self._heading + turn * env.step_dt
+        self._place = self._place + (velocity - self._speed) * dt
+        self._heading = self._heading + turn * dt
         return self._actions(targets)
 
     def _balance(self, fresh: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         """Update and return the balanced pitch, rad, (N,); ``state`` (3, N) is pitch, pitch rate, and wheel speed."""
-        a, b = (matrix.tolist() for matrix in self.pendulum.linear())
         dt = self._env.step_dt
         _, pitching, rolling = (state - self._before) / dt
         pitch = (state[0] + self._before[0]) / 2
-        apparent = pitch - (pitching - b[3][0] * rolling) / a[3][1] - self.pendulum.lean
-        error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR)
+        apparent = pitch - (pitching - self.pendulum.tilt * rolling) / self.pendulum.fall - self.pendulum.lean
+        error = (apparent - self._lean).clamp(-_MOST_ERROR, _MOST_ERROR).masked_fill(self._is_clipped, 0.0)
         self._lean = torch.where(fresh, 0.0, self._lean + self.pendulum.pole * dt * error)
         self._before = state
         return self.pendulum.lean + self._lean
@@ -226,6 +331,16 @@ class Reference:
         speeds[:, self._wheels] = wheel_targets.clamp(-limits, limits)
         wanted = {"velocity": speeds, "position": data.default_joint_pos, "effort": torch.zeros_like(speeds)}
         return torch.cat([term.raw_for(wanted[term.drives][:, ids]) for term, ids in self._terms], dim=1)
+
+
+def _gains(a: Array, b: Array, pendulum: Pendulum, step_dt: float) -> Array:
+    """Return the LQR gains K (4,) of the feedback u = -K [position, pitch, speed, pitch rate] for a control step."""
+    per_s = math.sqrt(pendulum.gravity / pendulum.height)
+    units = np.array((pendulum.height, 1.0, pendulum.height * per_s, per_s))
+    inputs = np.array([[_INPUT * (b[2, 0] / (pendulum.gravity * step_dt)) ** 2]])
+    states = np.diag(_STATES / units**2)
+    cost = linalg.solve_discrete_are(a, b, states, inputs)
+    return np.asarray(np.linalg.solve(inputs + b.T @ cost @ b, b.T @ cost @ a)[0])
 
 
 def _terms(env: Env, wheels: list[str]) -> list[tuple[JointAction, torch.Tensor]]:

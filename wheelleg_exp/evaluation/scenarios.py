@@ -10,6 +10,7 @@ from itertools import product
 import torch
 
 from wheelleg_exp.evaluation import protocol_options
+from wheelleg_exp.managers.manager_base import build
 
 Vec3 = tuple[float, float, float]
 ZERO: Vec3 = (0.0, 0.0, 0.0)
@@ -113,8 +114,11 @@ def pushing(options: protocol_options.Push) -> Scenarios:
 
 def on_terrain(options: protocol_options.Terrain) -> Scenarios:
     """Return a table of episodes that drive straight, one group (cell) for each kind and level of terrain tile."""
-    kinds = [name for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None]
-    names = tuple(f"{kind}/{level}" for kind in kinds for level in range(options.levels))
+    path = "protocol.terrain.scene.terrain.sub_terrains"
+    kinds = {name: node for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None}
+    parts = {name: build(node, f"{path}.{name}") for name, node in kinds.items()}
+    levels = [(level + 1) / options.levels for level in range(options.levels)]
+    names = tuple(f"{kind}/{part.label(level)}" for kind, part in parts.items() for level in levels)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
     settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
     cells = ((command,),) * len(names)

@@ -1,8 +1,9 @@
 """Kinds of terrain tiles: level, rough, sloped, and stepped; and the flat places on them."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -115,6 +116,14 @@ class SubTerrain:
     horizontal_scale: Positive | None = None
     flat_patches: Mapping[str, FlatPatches] = field(default_factory=dict)
     boxes: bool = False
+    graded: ClassVar[str] = ""  # the parameter whose range, in m or rad, the difficulty interpolates
+
+    def label(self, difficulty: float) -> str:
+        """Return what distinguishes a tile from easier ones, such as ``20mm`` or ``15°``; else the difficulty."""
+        if not self.graded:
+            return f"{difficulty:.3g}"
+        value = at(difficulty, getattr(self, self.graded))
+        return f"{math.degrees(value):.3g}°" if self.graded == "slope_range" else f"{1000 * value:.3g}mm"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return a tile's heights (nx, ny), m, at the points of ``grid``; equal arguments must give equal heights.
@@ -168,6 +177,7 @@ class UniformNoise(SubTerrain):
     amplitude_range: NonNegativeInterval
     downsampled_scale: Positive | None = None
     platform_width: NonNegative = 0.0
+    graded: ClassVar[str] = "amplitude_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         a = at(difficulty, self.amplitude_range)
@@ -190,6 +200,7 @@ class PyramidSlope(SubTerrain):
     slope_range: NonNegativeInterval
     platform_width: NonNegative
     inverted: bool = False
+    graded: ClassVar[str] = "slope_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
@@ -208,6 +219,7 @@ class Waves(SubTerrain):
 
     amplitude_range: NonNegativeInterval
     num_waves: Count = 1
+    graded: ClassVar[str] = "amplitude_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
@@ -276,6 +288,7 @@ class PyramidStairs(SubTerrain):
     platform_width: NonNegative
     inverted: bool = False
     boxes: bool = True
+    graded: ClassVar[str] = "step_height_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
@@ -297,6 +310,7 @@ class RandomGrid(SubTerrain):
     grid_width: Positive
     grid_height_range: NonNegativeInterval
     platform_width: NonNegative
+    graded: ClassVar[str] = "grid_height_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         a = at(difficulty, self.grid_height_range)
@@ -325,6 +339,7 @@ class DiscreteObstacles(SubTerrain):
     num_obstacles: Count
     platform_width: NonNegative
     obstacle_height_mode: Literal["choice", "fixed"] = "choice"
+    graded: ClassVar[str] = "obstacle_height_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         height = at(difficulty, self.obstacle_height_range)
@@ -386,6 +401,7 @@ class Gap(SubTerrain):
     gap_depth: NonNegative
     platform_width: NonNegative
     boxes: bool = True
+    graded: ClassVar[str] = "gap_width_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
@@ -407,6 +423,7 @@ class Rails(SubTerrain):
     rail_height_range: NonNegativeInterval
     platform_width: NonNegative
     boxes: bool = True
+    graded: ClassVar[str] = "rail_height_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng
@@ -433,6 +450,7 @@ class Box(SubTerrain):
     double_box: bool = False
     inverted: bool = False
     boxes: bool = True
+    graded: ClassVar[str] = "box_height_range"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         del rng

@@ -35,7 +35,8 @@ class TerrainGenerator(TerrainBase):
     """Terrain of tiles in rows along x and columns along y, centred on the world's origin.
 
     With ``curriculum``, all tiles of a column are of one sub-terrain, chosen by the proportions, and the difficulty of
-    row i is ``low + (high - low) (i + U(0, 1)) / rows``. Otherwise, both are random for each tile.
+    row i is ``low + (high - low) (i + U(0, 1)) / rows``, with ``exact_levels`` ``low + (high - low) (i + 1) / rows``.
+    Otherwise, both are random for each tile.
 
     Args:
         size: edges of a tile along x and y, m.
@@ -51,6 +52,7 @@ class TerrainGenerator(TerrainBase):
         max_init_terrain_level: highest row in which an environment starts; null means the last row.
         origin_window: edge of a window in the tile's centre, as a share of the tile's edge; its highest point is the
             height of the tile's origin. In Isaac Lab, each kind of tile defines this height, such as 0 for ``Rails``.
+        exact_levels: whether all tiles of a row have the same difficulty, and those of the last row the highest.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class TerrainGenerator(TerrainBase):
         seed: constraints.Seed | None = None,
         max_init_terrain_level: constraints.Natural | None = None,
         origin_window: Share = ORIGIN_WINDOW,
+        exact_levels: bool = False,
     ) -> None:
         super().__init__(static_friction, dynamic_friction, restitution)
         self.size = (float(size[0]), float(size[1]))
@@ -78,7 +81,7 @@ class TerrainGenerator(TerrainBase):
         self.difficulty_range = (difficulty_range[0], difficulty_range[1])
         self.num_rows, self.num_cols, self.curriculum = num_rows, num_cols, curriculum
         self.horizontal_scale, self.vertical_scale = horizontal_scale, vertical_scale
-        self._origin_window, self._seed = origin_window, seed
+        self._origin_window, self._seed, self._exact_levels = origin_window, seed, exact_levels
         self.sub_terrains = {name: cast(SubTerrain, part) for name, part in sub_terrains.items() if part is not None}
 
     def place(self, num_envs: int, spacing: float, device: torch.device, stream: Callable[[], torch.Generator]) -> None:
@@ -139,7 +142,8 @@ class TerrainGenerator(TerrainBase):
             return int(rng.choice(len(shares), p=shares)), float(rng.uniform(low, high))
         beyond = np.flatnonzero(col / self.num_cols + _MARGIN < np.cumsum(shares))
         kind = int(beyond[0]) if len(beyond) else len(shares) - 1
-        return kind, float(low + (high - low) * (row + rng.uniform()) / self.num_rows)
+        within = 1.0 if self._exact_levels else rng.uniform()
+        return kind, float(low + (high - low) * (row + within) / self.num_rows)
 
     def _tile(self, part: SubTerrain, difficulty: float, rng: np.random.Generator, key: str) -> Tile:
         scale, size = part.horizontal_scale or self.horizontal_scale, self.size
