@@ -4,6 +4,7 @@ import hashlib
 import multiprocessing
 import shutil
 from concurrent.futures import ProcessPoolExecutor
+from importlib import metadata
 from pathlib import Path
 
 import mujoco
@@ -54,6 +55,13 @@ def test_a_change_in_any_layer_is_noticed(robot, tmp_path, layer):
     second = convert_cached(robot, cache_dir=tmp_path / "cache")
     assert second.fresh
     assert second.key != first.key
+
+
+def test_another_physics_engine_has_entries_of_its_own(robot, tmp_path, monkeypatch):
+    first = convert_cached(robot, cache_dir=tmp_path / "cache")
+    version = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "4.9.1" if name == "mujoco-core" else version(name))
+    assert convert_cached(robot, cache_dir=tmp_path / "cache").key != first.key
 
 
 def test_the_same_bytes_elsewhere_are_the_same_entry(robot, tmp_path):
