@@ -161,6 +161,15 @@ def test_standing_still_earns_the_score_of_standing_still_and_tracking_all():
     assert columns["in_band"].tolist() == [0.0, 1.0, 0.0]
 
 
+def test_errors_of_the_reaction_and_of_the_steady_drive_are_separate():
+    made = still(5.0)
+    made.command[..., 0] = 0.3
+    made.vel[..., 0] = torch.where(times(made) > WALK.steady_s, 0.29, 0.1)[:, None]
+    columns = motion_columns.tracking(made, 1.0, WALK)
+    assert float(columns["error_vx_transient"]) == pytest.approx(0.2, rel=0.02)
+    assert float(columns["error_vx_steady"]) == pytest.approx(0.01, rel=0.02)
+
+
 def test_a_fall_costs_the_score_of_the_rest_and_no_less_error_than_standing():
     made = still(11.0, 2)
     made.command[..., 0], made.vel[..., 0] = 0.3, 0.3

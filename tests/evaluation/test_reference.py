@@ -94,7 +94,7 @@ def test_the_pendulum_is_one_on_weightless_wheels():
     assert pendulum.tilt < 0  # Accelerating wheels push the body back.
 
 
-@pytest.mark.parametrize(("profile", "survived", "too_hard"), [("article", 0.36, 0.40), ("physical", 0.79, 0.83)])
+@pytest.mark.parametrize(("profile", "survived", "too_hard"), [("article", 0.36, 0.40), ("physical", 0.76, 0.82)])
 def test_it_survives_kicks_of_the_measured_size(profile, survived, too_hard):
     env = stock_env(f"robot={profile}", num_envs=2)
     policy, data = Reference(env), env.scene.robot.data
@@ -116,7 +116,7 @@ def test_it_stands_still_as_measured_and_returns_to_its_place_after_a_kick(rolle
     settled = rolled["x"][begin:, 0]
     assert float(settled.max() - settled.min()) < 1e-4
     moved = rolled["x"][:, [0, 6]] - rolled["x"][0, [0, 6]]
-    assert float(moved[-1].abs().max()) < 1.5e-3
+    assert float(moved[-1].abs().max()) < 6e-3
     assert float(moved[:, 0].abs().max()) < 0.02
 
 

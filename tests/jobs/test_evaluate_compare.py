@@ -92,6 +92,7 @@ def test_the_same_policy_is_compared_in_two_engines(run):
     pytest.importorskip("mujoco_warp")
     found = evaluated(run.path, "--engines", "mujoco,warp")
     assert found["verdict"].startswith(("warp confirms mujoco in all", "warp differs from mujoco in"))
+    assert {row["outcome"] for row in found["differences"].values()} <= {"", "differs"}
     assert evaluated(run.path, "--engine", "warp")["about"]["engine"] == "warp"
     (one,), (other,) = found["runs"], found["against"]
     assert one["checkpoint_sha256"] == other["checkpoint_sha256"]

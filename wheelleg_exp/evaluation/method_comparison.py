@@ -14,6 +14,7 @@ from wheelleg_exp.evaluation.metric_catalogue import LEVEL, Array, Metric, metri
 from wheelleg_exp.evaluation.result import Evaluation, plain
 from wheelleg_exp.managers.streams import stream_seed
 
+DIFFERS = "differs"  # No engine is better than another one.
 ALPHA = 0.05  # significance level
 
 
@@ -66,8 +67,9 @@ class Difference:
     """The difference between two methods in one metric.
 
     ``first`` and ``second`` are means over the trainings of each method; ``interval`` is first minus second, with its
-    bootstrap interval. ``better`` is ``higher``, ``lower``, or empty for metrics without a better direction. ``test``
-    and ``p`` are None for metrics of several columns; ``p`` is corrected for the number of metrics (Holm).
+    bootstrap interval. ``better`` is ``higher``, ``lower``, or empty for metrics without a better direction; between
+    two engines, ``differs``. ``test`` and ``p`` are None for metrics of several columns; ``p`` is corrected for the
+    number of metrics (Holm).
     """
 
     metric: str
@@ -81,7 +83,7 @@ class Difference:
 
     @property
     def outcome(self) -> str:
-        """Whether the first method is significantly ``better`` or ``worse`` than the second method, else an empty text.
+        """Whether the first method is significantly ``better`` or ``worse`` than the second or ``differs``, else empty.
 
         A difference is significant if its corrected p value is below ``ALPHA``, and mean, median, and effect size do
         not have opposite signs; without a test, if its confidence interval excludes 0.
@@ -93,6 +95,8 @@ class Difference:
         # Call no method better if the means favour one method, but the median or the ranks favour the other method.
         if self.test is not None and min(self.test.difference * value, self.test.effect * value) < 0.0:
             return ""
+        if self.better == DIFFERS:
+            return DIFFERS
         return "better" if (value > 0.0) == (self.better == "higher") else "worse"
 
     def as_dict(self) -> dict[str, object]:

@@ -327,7 +327,8 @@ def _of_walking(columns: Mapping[str, Array], band: float) -> Iterator[Metric]:
     yield from _survival("walk", columns)
     for axis, unit in (("vx", "m/s"), ("wz", "rad/s")):
         rows = partial(differing, column=f"command_{axis}", value=0.0)
-        yield Metric(f"walk/error_{axis}", (f"error_{axis}",), quadratic, unit, rows=surviving)
+        for column in (f"error_{axis}", f"error_{axis}_steady", f"error_{axis}_transient"):
+            yield Metric(f"walk/{column}", (column,), quadratic, unit, rows=surviving)
         yield Metric(f"walk/error_{axis}_with_falls", (f"error_{axis}_with_falls",), quadratic, unit, rows=moving)
         yield Metric(f"walk/gain_{axis}", (f"command_{axis}", f"velocity_{axis}"), gain, better="")
         yield Metric(f"walk/sign_{axis}", (f"sign_{axis}",), mean, better="higher", rows=rows)

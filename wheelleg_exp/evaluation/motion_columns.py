@@ -147,6 +147,7 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
     With the command c and the velocity v in the base's axes, after settling:
 
     * ``error_<axis>``: √mean (v - c)² while the episode survives;
+    * ``error_<axis>_transient`` and ``_steady``: the same before and from ``steady_s`` on;
     * ``error_<axis>_with_falls``: the same, but at least |c|, the error of standing still, for an episode that fell;
     * ``velocity_<axis>``: mean v from ``steady_s`` on;
     * ``score_<axis>``: mean exp(-(v - c)²/std²) over all steps to the horizon, 0 after a fall;
@@ -161,6 +162,8 @@ def tracking(made: Trajectories, settle_s: float, options: Walk) -> Columns:
         error = velocity.double() - made.command[..., column].double()
         own = rms(error, settled)
         columns[f"error_{name}"] = own
+        columns[f"error_{name}_transient"] = rms(error, made.counted(settle_s, options.steady_s))
+        columns[f"error_{name}_steady"] = rms(error, steady)
         columns[f"error_{name}_with_falls"] = torch.where(made.fell, torch.fmax(own, command.abs()), own)
         columns[f"velocity_{name}"] = mean(velocity, steady)
         columns[f"score_{name}"] = torch.where(settled, (-(error**2) / std**2).exp(), 0.0).sum(dim=0) / steps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,7 @@ def compare(
     # ``trainings`` counts the training runs of each method; an LQR controller has no training runs.
     trainings = [len(side) for side in (runs, against) if side and side[0].checkpoint is not None]
     if engines:
+        found = [replace(row, better=comparison.DIFFERS if row.better else "") for row in found]
         said, pushed = comparison.engine_verdict(found, *engines), ""
         abouts = [made.evaluation.about for made in (*runs, *against)]
         if odd := dict.fromkeys(text for about in abouts for text in about.get("robot_differences", ())):
