@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 import torch
 
+from evaluation.conftest import protocol
 from wheelleg_exp.build import prepare_asset
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation.disturbance_tests import tiles
 from wheelleg_exp.evaluation.lqr_balancer import Pendulum, Plant, Reference, pendulum_of
+from wheelleg_exp.evaluation.protocol_options import Terrain
 
 SECONDS, STEP_AT, KICK_AT = 9.0, 3.0, 4.0
 COMMANDS = (0.0, 0.1, 0.3, 0.8, 0.3, 0.0, 0.0, 0.0)  # m/s, from STEP_AT on
@@ -18,9 +21,12 @@ TURNS = (0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0)  # rad/s
 KICKS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.28, 0.36)  # m/s, forwards, at KICK_AT
 
 
-def stock_env(*overrides: str, num_envs: int = 1) -> ManagerBasedRLEnv:
+def stock_env(*overrides: str, num_envs: int = 1, terrain: object = None) -> ManagerBasedRLEnv:
     config = compose(["task=stand", f"env.num_envs={num_envs}", "env.sim.nthread=1", *overrides]).config
-    env = ManagerBasedRLEnv({**config["env"], "events": {}, "episode_length_s": 60.0}, prepare_asset(config).output, 0)
+    options = {**config["env"], "events": {}, "episode_length_s": 60.0}
+    if terrain is not None:
+        options["scene"] = {**options["scene"], "terrain": terrain}
+    env = ManagerBasedRLEnv(options, prepare_asset(config).output, 0)
     env.autoreset = "disabled"
     return env
 
@@ -84,6 +90,22 @@ def test_the_linear_model_is_the_answer_of_the_simulated_robot(profile):
     after = torch.stack((data.root_ang_vel_b[:, 1], data.joint_vel[:, 4:].mean(dim=1)))
     rate, spin = ((after - before)[:, 0] - (after - before)[:, 1]).tolist()
     assert (0.02 * (spin + rate), rate) == (pytest.approx(b[2, 0], rel=0.03), pytest.approx(b[3, 0], rel=0.03))
+
+
+@pytest.mark.parametrize("kinds", [("slope",), ("stairs_inverted",), ("slope", "stairs", "rough")])
+def test_the_gains_do_not_depend_on_the_shape_of_the_ground(kinds):
+    options = Terrain(**protocol("terrain")["terrain"])
+    parts = options.scene["terrain"]["sub_terrains"]
+    options.scene["terrain"]["sub_terrains"] = {name: node for name, node in parts.items() if name in kinds}
+    level, hilly = stock_env(), stock_env(terrain=tiles(options, seed=3))
+    assert Reference(hilly).gains == pytest.approx(Reference(level).gains, rel=1e-3)
+
+
+def test_drives_without_gains_are_rejected():
+    env = stock_env("robot=explicit")
+    env.scene.robot.data.default_joint_damping.fill_(math.nan)
+    with pytest.raises(ConfigError, match="'l01' has no stiffness and damping"):
+        Reference(env)
 
 
 def test_the_pendulum_is_one_on_weightless_wheels():

@@ -61,7 +61,7 @@ def test_a_push_forwards_is_drawn_up_and_one_to_the_left_left():
 
 def test_tiles_stand_kind_by_kind_and_level_by_level():
     rows = [
-        {"test": "terrain", "cell_name": f"{kind}/{level}", "success": success}
+        {"test": "terrain", "cell_name": f"{kind}/{2 * level + 2}mm", "level": float(level), "success": success}
         for kind, shares in (("flat", (1.0, 1.0)), ("pyramid_stairs", (1.0, 0.0)))
         for level, success in enumerate(shares)
     ]

@@ -5,6 +5,7 @@ Its gains follow from the compiled robot with its drives, and from one rule for 
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,6 +21,7 @@ from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env
 from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositionAction, JointVelocityAction
+from wheelleg_exp.sim.terrain.terrain_base import is_ground
 
 Array = np.ndarray
 
@@ -33,6 +35,7 @@ _ACCELERATION = 0.04  # largest acceleration of the target speed, in g
 # Limit the integrator's input to 0.05 rad, so that a push or a fall causes no integral windup.
 _MOST_ERROR = 0.05
 _NEAR = 2.0  # largest position error that counts, in heights of the pendulum, so that a kick causes no hurry
+_LEAST_ANSWER = 1e-9  # least change of the speed, m/s, per change of the wheels' target, rad/s
 _SETTLE_S = 0.5  # time in which the robot's weight comes to rest on its wheels and legs
 
 
@@ -139,8 +142,9 @@ class Plant:
     """
 
     def __init__(self, env: Env, pendulum: Pendulum, anatomy: Anatomy) -> None:
-        robot, model, wheels = env.scene.robot, env.scene.model, anatomy.standing
-        self._model, self._data = model, at_default(model, robot)
+        robot, wheels = env.scene.robot, anatomy.standing
+        self._model = model = _on_level_ground(env.scene.model)
+        self._data = at_default(model, robot)
         self._steps = round(env.step_dt / model.opt.timestep)
         self._radius, self._signs = pendulum.radius, np.array([float(wheel.sign) for wheel in wheels])
         free = model.body_jntadr[model.body(anatomy.base).id]
@@ -159,6 +163,8 @@ class Plant:
         for actuator in robot.actuators.values():
             for name, index in zip(actuator.joint_names, actuator.joint_ids.tolist(), strict=True):
                 joint, own = model.joint(name), (*(gain[index] for gain in gains), limits[index], defaults[index])
+                if not math.isfinite(own[0] + own[1]):
+                    raise _unusable(f"the drive of '{name}' has no stiffness and damping")
                 place = (model.actuator(name).id, joint.id, int(joint.qposadr[0]), int(joint.dofadr[0]))
                 self._drives.append((*place, *own, actuator.reads_state))
         self._axis = np.array(anatomy.forward)
@@ -175,18 +181,19 @@ class Plant:
 
     def linear(self) -> tuple[Array, Array]:
         """Return the matrices A (4, 4) and B (4, 1) of one control step, from central differences."""
-        columns = []
-        for change in np.diag((1e-3, 1e-3, 1e-2, 1e-2, 1e-1)):
+        columns = [np.array([1.0, 0.0, 0.0, 0.0])]  # Nothing depends on the position.
+        for change in np.diag((1e-3, 1e-2, 1e-2, 1e-1)):
             columns.append((self._after(change) - self._after(-change)) / (2.0 * change.max()))
+        if not np.isfinite(columns).all() or abs(columns[4][2]) < _LEAST_ANSWER:
+            raise _unusable("the robot's speed does not follow its wheel drives")
         return np.stack(columns[:4], axis=1), columns[4][:, None]
 
     def _after(self, change: Array) -> Array:
-        """Return the state (4,) one control step after a change of the balanced state and the input, (5,)."""
-        data, (place, pitch, speed, rate, offset) = self._data, change
+        """Return the state one control step after a change of pitch, speed, pitch rate, and input, (4,)."""
+        data, (pitch, speed, rate, offset) = self._data, change
         mujoco.mj_resetData(self._model, data)
         data.qpos[:] = self._pose
         self._turn(pitch)
-        data.qpos[self._angles] += self._signs * place / self._radius
         turning = rate * self._left
         data.qvel[self._speed] = speed * self._forward + np.cross(turning, data.qpos[self._place] - self._axle())
         data.qvel[self._rate] = self._frame().T @ turning
@@ -230,8 +237,25 @@ class Plant:
         return frame.reshape(3, 3)
 
 
+def _on_level_ground(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a scene's model in which the ground is a plane at height 0."""
+    model = copy.copy(model)
+    first, *others = (geom for geom in range(model.ngeom) if is_ground(model.geom(geom).name))
+    model.geom_contype[others] = model.geom_conaffinity[others] = 0
+    model.geom_type[first], model.geom_rbound[first], model.geom_sameframe[first] = mujoco.mjtGeom.mjGEOM_PLANE, 0.0, 0
+    model.geom_pos[first], model.geom_quat[first], model.geom_size[first] = 0.0, (1, 0, 0, 0), (0, 0, 1)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE  # Its boxes are those of the former ground.
+    return model
+
+
+def _unusable(message: str) -> ConfigError:
+    return ConfigError(message, key="env.robot.actuators", expected="drives with stiffness and damping")
+
+
 class Reference:
-    """An LQR balancer that is called like a policy, reads the true state, and returns the task's actions.
+    """An LQR balancer that is called like a policy, and returns the task's actions.
+
+    It reads pitch and pitch rate from the IMU with its tilt and bias, but without noise, and the velocity exactly.
 
     The target of a wheel is its speed plus u, the optimal input of the compiled robot (``Plant``). A speed difference
     between left and right wheels turns the robot to the commanded heading. All other joints stay at their default

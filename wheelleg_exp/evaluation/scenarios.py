@@ -117,8 +117,11 @@ def on_terrain(options: protocol_options.Terrain) -> Scenarios:
     path = "protocol.terrain.scene.terrain.sub_terrains"
     kinds = {name: node for name, node in options.scene["terrain"]["sub_terrains"].items() if node is not None}
     parts = {name: build(node, f"{path}.{name}") for name, node in kinds.items()}
-    levels = [(level + 1) / options.levels for level in range(options.levels)]
-    names = tuple(f"{kind}/{part.label(level)}" for kind, part in parts.items() for level in levels)
+    levels = range(options.levels)
+    labels = {kind: [part.label((level + 1) / options.levels) for level in levels] for kind, part in parts.items()}
+    # Levels of equal height, as of a range without width, have numbers.
+    named = {kind: own if len(set(own)) == len(own) else list(map(str, levels)) for kind, own in labels.items()}
+    names = tuple(f"{kind}/{label}" for kind, own in named.items() for label in own)
     command: Vec3 = (float(options.lin_vel_x), 0.0, 0.0)
     settings = json.dumps([asdict(options), options.scene["terrain"]], sort_keys=True)
     cells = ((command,),) * len(names)

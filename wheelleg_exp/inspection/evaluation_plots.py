@@ -132,13 +132,12 @@ def _of_pushing(rows: Episodes) -> list[Panel]:
 
 
 def _of_terrain(rows: Episodes) -> list[Panel]:
-    kinds, level = zip(*(name.rpartition("/")[::2] for name in rows["cell_name"].tolist()), strict=True)
+    kinds = [name.rpartition("/")[0] for name in rows["cell_name"].tolist()]
     order = list(dict.fromkeys(kinds))
     place = np.array([order.index(kind) for kind in kinds], dtype=float)
-    levels = np.array(level, dtype=float)
 
     def shown(title: str, name: str) -> Panel:
-        values, across, up = _grid(levels, place, rows[name], np.nanmean)
+        values, across, up = _grid(rows["level"], place, rows[name], np.nanmean)
         words = [order[int(index)].replace("_", " ") for index in up]
         return _map(title, values, across, words, across="level", up="", is_share=True, height=0.5 + 0.36 * len(order))
 

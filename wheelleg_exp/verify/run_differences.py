@@ -129,7 +129,7 @@ _ALLOWING: dict[str, dict[str, str]] = {
         "machine": "another CPU architecture",
         "platform": "another C library (sine, cosine, exponential)",
     },
-    "versions": {name: f"another {name}" for name in ("torch", *MUJOCO, "mujoco-warp", "warp-lang", "numpy")},
+    "versions": {name: f"another {name}" for name in ("torch", *MUJOCO, "numpy")},
     "threads": {
         "cpu_capability": "other vector instructions",
         "device": "another device",

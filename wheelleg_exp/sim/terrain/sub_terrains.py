@@ -123,7 +123,8 @@ class SubTerrain:
         if not self.graded:
             return f"{difficulty:.3g}"
         value = at(difficulty, getattr(self, self.graded))
-        return f"{math.degrees(value):.3g}°" if self.graded == "slope_range" else f"{1000 * value:.3g}mm"
+        is_angle = self.graded == "slope_range"
+        return f"{round(math.degrees(value), 2):g}°" if is_angle else f"{round(1000 * value, 2):g}mm"
 
     def heights(self, difficulty: float, grid: Grid, rng: np.random.Generator) -> Array:
         """Return a tile's heights (nx, ny), m, at the points of ``grid``; equal arguments must give equal heights.
