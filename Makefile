@@ -10,7 +10,7 @@ VIRTUALENV := .cache/virtualenv
 
 # Train the robot to stand, then play the policy for one episode and print how it stood.
 demo: setup
-	$(BIN)/wheelleg train task=stand
+	$(BIN)/wheelleg train task=stand agent=quick
 	$(BIN)/wheelleg play latest
 
 # Everything that continuous integration runs.

@@ -156,6 +156,8 @@ def changed(env: EnvOptions, options: Robust, name: str, value: float) -> EnvOpt
         env = replace(env, robot=replace(env.robot, friction_combine_mode="average"))
         ranges = {"static_friction_range": pair, "dynamic_friction_range": pair, "restitution_range": zero}
         return _with_event(env, "rigid_body_material", ranges | {"num_buckets": 1})
+    if name == "impratio":
+        return replace(env, sim=replace(env.sim, impratio=value))
     if name == "mass":
         return _with_event(env, "rigid_body_mass", {"mass_distribution_params": pair, "operation": "scale"})
     if name == "payload":

@@ -298,11 +298,11 @@ class Strip:
 KICK_S, AFTER_KICK_S = 2.0, 2.0  # s; time of the kick from the start of the episode, and least time after the kick
 # The properties that the robustness test changes, in the order of the results.
 PROPERTIES = (
-    *("friction", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
+    *("friction", "impratio", "mass", "com", "gains", "noise", "delay_s", "reading_delay_s", "lost_readings"),
     *("imu_tilt", "gyro_bias", "encoder_offset", "slope", "kick", "payload", "platform"),
 )
 # A property that is unchanged at 0 has a margin: the largest change that a policy survives.
-_WITH_MARGIN = tuple(name for name in PROPERTIES if name not in ("friction", "mass", "gains"))
+_WITH_MARGIN = tuple(name for name in PROPERTIES if name not in ("friction", "impratio", "mass", "gains"))
 
 
 def _changes_are_known(
@@ -335,6 +335,7 @@ class Robust:
         horizon_s: length of each episode, s.
         lin_vel_x: forward speeds, m/s.
         friction: coefficients between the robot and the ground.
+        impratio: ratios of frictional to normal impedance of the contacts in MuJoCo; wheels creep less with larger ones.
         mass: factors on the masses of all bodies.
         com: shifts of the base's centre of mass along x, m.
         gains: factors on kp and kd of all actuators.
@@ -377,6 +378,7 @@ class Robust:
     margins: dict[str, Positive] | None
     margin_survival: Share
     margin_iterations: Count
+    impratio: list[Positive] = field(default_factory=list)
     payload: list[NonNegative] = field(default_factory=list)
     platform: list[NonNegative] = field(default_factory=list)
 
