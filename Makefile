@@ -3,6 +3,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 INSTALLED := $(VENV)/.installed
 VIRTUALENV := .cache/virtualenv
 
@@ -31,7 +32,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV) 2>/dev/null && $(BIN)/python -m pip --version >/dev/null 2>&1 \
 		|| { rm -rf $(VENV); $(PYTHON) -m pip install --quiet --target $(VIRTUALENV) virtualenv \
 			&& PYTHONPATH=$(VIRTUALENV) $(PYTHON) -m virtualenv --quiet $(VENV); }
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e ".[dev]"
+	@$(PIP_INSTALL) -e ".[dev]"
+	@$(PIP_INSTALL) --no-deps mujoco-warp mjviser # both require the metapackage mujoco, which pins mujoco-core 4.0.0
 	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib wheelleg_exp >/dev/null 2>&1 || true # on all cores, as pip does on one
 	@touch $(INSTALLED)
 

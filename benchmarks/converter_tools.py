@@ -39,7 +39,7 @@ class Tool:
     @property
     def version(self) -> str:
         """Return the names and versions of the packages that the tool uses."""
-        own = (f"wheelleg_exp=={metadata.version('wheelleg_exp')}", f"mujoco=={metadata.version('mujoco')}")
+        own = (f"wheelleg_exp=={metadata.version('wheelleg_exp')}", f"mujoco-core=={metadata.version('mujoco-core')}")
         return " ".join(self.pins or own) + (f", {self.note}" if self.note else "")
 
 

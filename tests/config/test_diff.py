@@ -135,7 +135,7 @@ def test_a_run_names_its_override_or_the_line_of_its_parameters(diff, make_run):
 def test_the_facts_of_two_runs_are_compared(diff, make_run):
     one, other = make_run(), make_run(minute=1)
     manifest = read_json(other.path / "manifest.json")
-    manifest["versions"]["mujoco"] = "0.0"
+    manifest["versions"]["mujoco-core"] = "0.0"
     manifest["hardware"]["cpu"] = "another"
     manifest["threads"]["torch"] = 2
     write_json(other.path / "manifest.json", manifest)
@@ -143,7 +143,7 @@ def test_the_facts_of_two_runs_are_compared(diff, make_run):
     found = diff(one.id, other.id)
     assert (found.terms, found.parameters) == ((), ())
     assert {(f.section, f.name, f.b) for f in found.facts} == {
-        ("versions", "mujoco", "0.0"), ("hardware", "cpu", "another"), ("threads", "torch", 2),
+        ("versions", "mujoco-core", "0.0"), ("hardware", "cpu", "another"), ("threads", "torch", 2),
         ("asset", "robot.usda", "cc"),
     }  # fmt: skip
 

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import pytest
 
 from jobs.small import copied, succeed
@@ -213,11 +214,14 @@ def test_on_another_machine_the_promised_precision_is_stated(written, once, caps
     path = written / "small" / f"{record['runs'][0]['id']}.json"
     manifest = json.loads(path.read_text())
     manifest["hardware"] |= {"cpu": "AMD Other"}
+    del manifest["versions"]["mujoco-core"]  # Manifests of earlier versions state the metapackage's version alone.
+    manifest["versions"]["mujoco"] = "4.0.0-old"
     write_json(path, manifest)
     rewritten(written, record)
     status, told = again(written, capsys)
     assert status == 0
     assert "differs: cpu was AMD Other, is " in told
+    assert f"differs: mujoco-core was 4.0.0-old, is {mujoco.mj_versionString()}\n" in told
     assert told.endswith("small: reproduced to the bit, on another machine\n")
     record["reference"]["metrics"]["stand/height_rmse"]["value"] *= 2.0
     rewritten(written, record)

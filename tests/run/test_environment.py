@@ -27,7 +27,7 @@ model name\t: another
 def test_every_distribution_stands_with_its_version_sorted():
     lines = environment.distributions()
     found = {Requirement(line.split("  #")[0]).name: line for line in lines}
-    assert f"mujoco=={metadata.version('mujoco')}" in lines
+    assert f"mujoco-core=={metadata.version('mujoco-core')}" in lines
     for distribution in metadata.distributions():
         assert distribution.metadata["Name"] in found
     names = [name.lower().replace("_", "-").replace(".", "-") for name in found]

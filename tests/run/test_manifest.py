@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 
+import mujoco
 import pytest
 
 from wheelleg_exp.errors import RunDirectoryError
@@ -29,7 +30,7 @@ def test_a_new_run_has_the_status_running_and_all_its_inputs(tmp_path, monkeypat
     assert (data["seeds"], data["threads"], data["process"]["pid"]) == ([3], {"torch": 2}, os.getpid())
     assert data["environment_variables"]["MKL_CBWR"] == "AVX2,STRICT"
     assert "hidden" not in json.dumps(data)
-    assert data["versions"]["mujoco"].startswith("4.")
+    assert data["versions"]["mujoco-core"] == mujoco.mj_versionString()
     assert data["ended"] is None
     started = datetime.fromisoformat(data["started"])
     assert started.utcoffset() == timedelta(0)

@@ -285,7 +285,7 @@ def test_another_robot_is_reported_and_another_mujoco_notation_is_not(a, b):
     identity = json.loads((b.asset / "asset.json").read_text())
     (b.asset / "asset.json").write_text(json.dumps({**identity, "model_sha256": "f" * 64}))
     assert different(a, b).name == "compiled model"
-    set_fact(b, "versions", mujoco="99")
+    set_fact(b, "versions", **{"mujoco-core": "99"})
     identical(a, b)
     (b.asset / "robot.xml").write_text("<mujoco><worldbody/></mujoco>")
     assert different(a, b).name == "robot.xml"
@@ -502,6 +502,15 @@ INDEPENDENT, DEPENDENT = {"independent": True}, {"independent": False}
 def test_what_allows_other_numbers(section, a, b, also, allowed):
     (found,) = environment_differences(*([ProcessFacts(**{section: facts, **also})] for facts in (a, b)))
     assert (found.allows is not None) == allowed
+
+
+def test_the_engine_of_an_old_run_has_the_version_of_the_metapackage():
+    old, new = {"mujoco": "4.0.0"}, {"mujoco-core": "4.0.1"}
+    for was in (old, {**old, "mujoco-core": "4.0.0"}):
+        (found,) = environment_differences([ProcessFacts(versions=was)], [ProcessFacts(versions=new)])
+        assert (found.name, found.a, found.b, found.allows) == ("mujoco-core", "4.0.0", "4.0.1", "another mujoco-core")
+    same = {"mujoco-core": "4.0.0"}
+    assert environment_differences([ProcessFacts(versions=old)], [ProcessFacts(versions=same)]) == []
 
 
 def test_more_packages_are_read_from_the_environment_file(a, b):

@@ -19,7 +19,7 @@ from wheelleg_exp.run.git_commands import without_credentials
 
 # The Python packages whose versions can change a run's numbers or files.
 _DISTRIBUTIONS = (
-    *("wheelleg_exp", "mujoco", "mujoco-core", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core"),
+    *("wheelleg_exp", "mujoco-core", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core"),
     *("omegaconf", "usd-core", "rerun-sdk", "tensorboard", "onnx", "mujoco-warp", "warp-lang"),
 )
 

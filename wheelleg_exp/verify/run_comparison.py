@@ -101,7 +101,7 @@ def _compare(a: Measured, b: Measured, span: Span) -> Comparison:
     robot = plain_changes(differences.robot_of(a.run), differences.robot_of(b.run))
     environment = differences.run_differences(a.run, b.run)
     # Two versions of MuJoCo write different bytes for the same compiled model.
-    another = any(d.section == "versions" and d.name in differences.MUJOCO for d in environment)
+    another = any(d.section == "versions" and d.name == differences.MUJOCO for d in environment)
     other_robot = [change for change in robot if not (another and change.key == "compiled model")]
     checkpoints, logs = compare_checkpoints(a.run, b.run, span.until), part.compare_logs(ones, others)
     damage = {

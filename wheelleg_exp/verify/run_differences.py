@@ -113,7 +113,7 @@ def _same(a: object, b: object) -> bool:
 
 
 SECTIONS = ("versions", "modules", "hardware", "threads", "environment_variables")
-MUJOCO = ("mujoco", "mujoco-core")  # ``mujoco-core`` contains the physics engine.
+MUJOCO = "mujoco-core"  # the package that contains the physics engine
 _WIDEST = 40  # In a text that compares two runs, a config value has at most 40 characters.
 UNKNOWN_CODE = "files, not recorded"
 _CODE = ("status", "commit", "tree", "dirty", "patch_sha256", "content_sha256")
@@ -129,7 +129,7 @@ _ALLOWING: dict[str, dict[str, str]] = {
         "machine": "another CPU architecture",
         "platform": "another C library (sine, cosine, exponential)",
     },
-    "versions": {name: f"another {name}" for name in ("torch", *MUJOCO, "numpy")},
+    "versions": {name: f"another {name}" for name in ("torch", MUJOCO, "numpy")},
     "threads": {
         "cpu_capability": "other vector instructions",
         "device": "another device",
@@ -191,8 +191,10 @@ def run_differences(a: RunDirectory, b: RunDirectory) -> list[FactDifference]:
 def _values(processes: Sequence[ProcessFacts], section: str) -> dict[str, list[object]] | None:
     """Return all values of each fact, such as ``cpu``, in the processes that started and resumed a run."""
     tables = [table for process in processes if (table := getattr(process, section)) is not None]
+    if section == "versions":  # Old manifests can lack ``mujoco-core``; their metapackage ``mujoco`` has its version.
+        tables = [{MUJOCO: table["mujoco"], **table} if "mujoco" in table else table for table in tables]
     values: dict[str, list[object]] = {}
-    for name in dict.fromkeys(name for table in tables for name in table):
+    for name in dict.fromkeys(name for table in tables for name in table if name != "mujoco"):
         for value in (table.get(name) for table in tables):
             if value not in values.setdefault(name, []):
                 values[name].append(value)
