@@ -74,7 +74,7 @@ def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
     # The feet are missing in the list, because they stand on the ground.
     assert found.raised_bodies == ["body", "l_leg", "r_leg"]
     texts = config_files("mine", found).values()
-    assert not [text for text in texts if "wheel_air" in text or "mine_wheels" in text]
+    assert not [text for text in texts if re.search("wheel_air|mine_wheels|travel", text)]
 
 
 def test_a_robot_whose_legs_cannot_balance_it_leans(two):
@@ -369,6 +369,15 @@ def test_the_stock_robots_file_makes_a_project_that_passes_its_own_check(tmp_pat
     made = create(tmp_path / "mine", assets_dir() / "wheelleg" / "wheelleg.usda")
     assert examined(made).open == []
     assert "9.25 rad/s" in made.accepted["drive_bandwidth"]
+    env = compose(["task=mine"], config_dirs=[made.path / "configs"]).config["env"]
+    command, reward = env["commands"]["base_velocity"], env["rewards"]["travel_error"]
+    assert command["_target_"].endswith(".UniformVelocityTravelCommand")
+    assert command["max_travel_error"] >= 0.3
+    assert all(list(env["observations"][group]["terms"]).count("mine_travel") == 1 for group in ("policy", "critic"))
+    half = 0.070 / 2  # docs/robot.md states a standing height of 70 mm.
+    # Both errors cost 1 per second.
+    assert reward["weight"] * half**2 == pytest.approx(-1.0, rel=0.05)
+    assert reward["weight"] * (reward["heading_length"] * 0.05) ** 2 == pytest.approx(-1.0, rel=0.1)  # of two digits
 
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"

@@ -91,7 +91,7 @@ _TEMPLATES = {
 _NEVER_SILENCED = ("missing_files", "robot_size")  # Lint rules about errors of the robot file are never silenced.
 _PURPOSES = {
     "action": "the effect of one unit of action",
-    "observation": "positions of the legs",
+    "observation": "what the policy observes of the legs or of the travelled distance",
     "reward": "the weight of this project's own reward",
     "termination": "links that must not touch anything",
 }
@@ -356,6 +356,9 @@ _COST = 0.15
 _TILT = 0.03  # By default, the reset event tilts the robot randomly by at most 0.03 rad.
 _DIP = 0.003  # A random start tilt may put a wheel into the ground by at most 0.3 % of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
+_AHEAD = 0.5  # An error of the travelled distance of half of the robot's size costs a reward of 1 per second.
+_TURNED = 0.05  # A heading error of 0.05 rad costs a reward of 1 per second.
+_TRAVEL = 4.5  # The integrated distance error is at most 4.5 times the robot's size; less lets a force push the robot.
 _LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
 _WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
 
@@ -389,6 +392,14 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   joint_names: ${{env.robot.joint_sets.wheel_actions}}
   scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
 """
+    if _rolls(robot):
+        scale = number(1.0 / (_AHEAD * robot.size), 2)
+        files[f"observation/{name}_travel.yaml"] = f"""# Distance and angle by which the robot is ahead of its command.
+{name}_travel:
+  _target_: wheelleg_exp.mdp.observations.travel_error
+  command_name: base_velocity
+  scale: [{scale}, 20.0]    # per m, per rad
+"""
     if robot.raised_bodies:
         files[f"termination/{name}_contact.yaml"] = f"""# A link that should not touch the ground touches something.
 {name}_contact:
@@ -404,10 +415,13 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
 
 def task_yaml(name: str, robot: Survey) -> str:
     """Return the text of ``task/<name>.yaml``, in which the robot learns to stand and stay in place."""
-    legs, wheels = bool(robot.legs), bool(robot.wheels)
+    legs, wheels, rolls = bool(robot.legs), bool(robot.wheels), _rolls(robot)
     actions = _chosen((f"{name}_legs", legs), (f"{name}_wheels", wheels))
     seen = _chosen(
-        "base_ang_vel, projected_gravity, velocity_commands", (f"{name}_leg_pos", legs), "joint_vel_rel, last_action"
+        "base_ang_vel, projected_gravity, velocity_commands",
+        (f"{name}_leg_pos", legs),
+        "joint_vel_rel, last_action",
+        (f"{name}_travel", rolls),
     )
     rewards = _chosen(
         f"alive, terminating, {name}_upright, base_height",
@@ -415,19 +429,26 @@ def task_yaml(name: str, robot: Survey) -> str:
         ("leg_joint_deviation", legs),
         "action_rate",
         ("wheel_air", wheels),
+        ("travel_error", rolls),
     )
     ends = _chosen(
         "time_out", (f"{name}_contact", bool(robot.raised_bodies)), ("bad_orientation", robot.level), "non_finite_state"
     )
     limit = "  terminations:\n    bad_orientation: {limit_angle: 0.8}   # rad, of tilt from upright\n"
     ends_at = limit if robot.level else ""
+    integrated = "\n  - /command/wheeled@env.commands: [base_velocity]" if rolls else ""
+    most = number(_TRAVEL * robot.size, 2)
+    travel = f"""      max_travel_error: {most}          # m; farther than a constant force pushes the robot
+      max_lin_acceleration: 0.6     # m/s²; of the command: a robot on two wheels must first roll back
+      max_ang_acceleration: 3.0     # rad/s²; of the command
+"""
     return f"""# @package _global_
 # {name} learns to stand on flat ground. `wheelleg train task={name}`
 defaults:
   - /robot: {name}
   - /scene: flat
   - /sim: parity
-  - /command@env.commands: [base_velocity]
+  - /command@env.commands: [base_velocity]{integrated}
   - /action@env.actions: [{actions}]
   - /observation@env.observations.policy.terms:
       [{seen}]
@@ -437,6 +458,7 @@ defaults:
   - /reward@env.rewards:
       [{rewards}]
   - /termination@env.terminations: [{ends}]
+  - override /agent: quick
   - _self_
 
 task:
@@ -451,7 +473,7 @@ env:
   commands:
     base_velocity:         # standing: the command is always zero
       ranges: {{lin_vel_x: [0.0, 0.0], lin_vel_y: [0.0, 0.0], ang_vel_z: [0.0, 0.0]}}
-  observations:
+{travel if rolls else ""}  observations:
     policy:
       concatenate_terms: true
       enable_corruption: false   # noise of the terms is off
@@ -521,7 +543,16 @@ def _rewards(robot: Survey) -> str:
         text += "    leg_joint_deviation: {weight: -0.5}\n"
     if robot.wheels:
         text += f"    wheel_air: {{threshold: {_threshold(robot)}}}    # N\n"
+    if _rolls(robot):
+        ahead = _AHEAD * robot.size
+        weight, length = number(-1.0 / ahead**2, 2), number(ahead / _TURNED, 2)  # m per rad
+        text += f"    travel_error: {{command_name: base_velocity, weight: {weight}, heading_length: {length}}}\n"
     return text
+
+
+def _rolls(robot: Survey) -> bool:
+    """Return whether the speeds of the wheels tell how far the robot travels along the x axis of its root link."""
+    return robot.level and bool(robot.wheels) and robot.anatomy.forward is not None
 
 
 def _tolerance(robot: Survey) -> float:
