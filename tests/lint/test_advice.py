@@ -161,7 +161,7 @@ CASES: dict[str, list[Callable[[float], Case]]] = {
 WITHOUT = {
     "reward_outweighs",  # tests/cli/test_doctor.py tests the cost of a weight.
     "action_clip_never_acts", "armature_ratio", "falling_pays", "gains_against_time_step", "noop_joint_reset",
-    "ppo_batch", "unbounded_observation", "world_height", "zero_width_range",
+    "cylinder_edges", "ppo_batch", "unbounded_observation", "world_height", "zero_width_range",
     # These rules report defects of a robot file or a pose.
     "assumed_masses", "balance_pose", "contact_at_start", "joint_limits", "link_masses", "lopsided_pose",
     "lost_in_conversion", "mirror_images", "missing_files", "no_colliders", "overlapping_bodies", "placeholder_limits",

@@ -389,6 +389,20 @@ def test_the_armature_is_the_only_finding_of_the_stock_robot():
     assert {finding.rule for finding in findings} <= {"armature_ratio"}
 
 
+@pytest.mark.parametrize("ground", ["box", "hfield", "plane"])
+@pytest.mark.parametrize(("version", "wheel"), [("4.0.0", "cylinder"), ("4.0.1", "cylinder"), ("4.0.0", "sphere")])
+def test_cylinders_on_ground_with_edges_are_found_with_mujoco_4_0_0_only(tmp_path, monkeypatch, version, wheel, ground):
+    monkeypatch.setattr(mujoco, "mj_versionString", lambda: version)
+    case = patient(tmp_path, seeded((CYLINDER, CYLINDER.replace("cylinder", wheel)), everywhere=True))
+    spec = mujoco.MjSpec.from_string(HEALTHY.replace("cylinder", wheel))
+    spec.add_hfield(name="hfield", nrow=2, ncol=2, size=[1, 1, 1, 1], userdata=[0, 0, 0, 1])
+    kind = getattr(mujoco.mjtGeom, f"mjGEOM_{ground.upper()}")
+    spec.worldbody.add_geom(type=kind, size=[1, 1, 1], hfieldname="hfield" * (ground == "hfield"))
+    on_ground = replace(case, robot=replace(case.robot, model=spec.compile()))
+    keys = [finding.key for finding in found("cylinder_edges", on_ground)]
+    assert keys == ["env.scene.terrain"] * (version == "4.0.0" and wheel == "cylinder" and ground != "plane")
+
+
 def test_actuators_of_an_mjcf_add_up_and_the_joint_limits_them(tmp_path):
     actuators = """<actuator><position joint="l_hip" kp="50"/><velocity joint="l_hip" kv="2"/>
       <motor joint="r_hip" gear="10" ctrllimited="true" ctrlrange="-1 2"/></actuator></mujoco>"""

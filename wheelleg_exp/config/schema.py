@@ -137,14 +137,14 @@ class PlayRoot:
 # The config key `check.silence` can switch off each of these rules of `wheelleg check --physics`.
 PHYSICS_RULES: tuple[str, ...] = (
     "action_clip_never_acts", "action_scale", "armature_ratio", "assumed_masses", "balance_pose", "command_reach",
-    "contact_at_start", "contact_threshold", "control_rate", "cumulative_randomisation", "discount_horizon",
-    "drive_bandwidth", "effort_against_load", "effort_against_traction", "episode_end", "event_never_fires",
-    "falling_pays", "gains_against_time_step", "joint_limits", "late_average", "levels_out_of_reach",
-    "link_masses", "lopsided_pose", "lost_in_conversion", "mirror_images", "missing_files", "no_colliders",
-    "noise_against_signal", "noop_curriculum", "noop_joint_reset", "noop_restitution", "observation_scale",
-    "overlapping_bodies", "placeholder_limits", "ppo_batch", "push_size", "reset_into_ground", "reward_outweighs",
-    "reward_too_small", "robot_size", "rolling_direction", "spawn_height", "target_height", "tracking_std",
-    "unbounded_observation", "weak_wheels", "wheel_senses", "wheels_that_do_not_roll", "world_height",
+    "contact_at_start", "contact_threshold", "control_rate", "cumulative_randomisation", "cylinder_edges",
+    "discount_horizon", "drive_bandwidth", "effort_against_load", "effort_against_traction", "episode_end",
+    "event_never_fires", "falling_pays", "gains_against_time_step", "joint_limits", "late_average",
+    "levels_out_of_reach", "link_masses", "lopsided_pose", "lost_in_conversion", "mirror_images", "missing_files",
+    "no_colliders", "noise_against_signal", "noop_curriculum", "noop_joint_reset", "noop_restitution",
+    "observation_scale", "overlapping_bodies", "placeholder_limits", "ppo_batch", "push_size", "reset_into_ground",
+    "reward_outweighs", "reward_too_small", "robot_size", "rolling_direction", "spawn_height", "target_height",
+    "tracking_std", "unbounded_observation", "weak_wheels", "wheel_senses", "wheels_that_do_not_roll", "world_height",
     "wrench_size", "zero_width_range",
 )  # fmt: skip
 

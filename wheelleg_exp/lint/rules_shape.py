@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from wheelleg_exp.anatomy.anatomy_parts import MirroredPair
-from wheelleg_exp.anatomy.collider_shapes import find_overlaps, lowest_point
+from wheelleg_exp.anatomy.collider_shapes import colliders, find_overlaps, lowest_point
 from wheelleg_exp.anatomy.compiled_robot import CompiledRobot
 from wheelleg_exp.anatomy.stance import balanced_pose, weight_over_axle
 from wheelleg_exp.lint.rule import Case, Finding, by_joint, listed, rule
@@ -101,6 +101,21 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
             message = f"the wheels of '{pair.left}' and '{pair.right}' have radii of {1e3 * one:.4g} and "
             message += f"{1e3 * other:.4g} mm"
             yield Finding(_ASSET, message, "colliders of one size", {"left_m": one, "right_m": other})
+
+
+@rule
+def cylinder_edges(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
+    """MuJoCo 4.0.0 computes wrong contacts of the robot's cylinders with the edges of boxes and height fields.
+
+    A driven wheel of 20 mm radius penetrates the edge of a step by 10 mm with MuJoCo 4.0.0 and by 3 mm with 4.0.1, so
+    the robot climbs steps that it cannot climb with 4.0.1. Source: MuJoCo's pull requests 3748 and 3752.
+    """
+    kind, types = mujoco.mjtGeom, robot.model.geom_type
+    own = types[colliders(robot.model, [robot.model.body(name).id for name in robot.bodies])].tolist()
+    edges = {kind.mjGEOM_BOX, kind.mjGEOM_HFIELD} & set(types[robot.model.geom_bodyid == 0].tolist())
+    if mujoco.mj_versionString() == "4.0.0" and edges and kind.mjGEOM_CYLINDER in own:
+        message = "MuJoCo 4.0.0 computes wrong contacts of the robot's cylinders with the edges of this ground"
+        yield Finding("env.scene.terrain", message, "pip install --no-deps mujoco-core==4.0.1")
 
 
 _LEAN = 0.06  # A policy easily corrects a lean of the robot of at most 0.06 rad.
