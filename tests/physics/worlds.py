@@ -61,6 +61,20 @@ def config(dt: float, base: str = "floating", **changes: Any) -> dict[str, Any]:
     return env_config(sim=sim, scene=scene, robot=robot, **given)
 
 
+def depth_in_step(centres: torch.Tensor, axes: torch.Tensor, face: float, top: float) -> torch.Tensor:
+    """Return how far (N,) the rims of the stock robot's wheels are inside a step that fills x > face, z < top, m.
+
+    ``centres`` (N, 3), m, and ``axes`` (N, 3), unit vectors, are the wheels' poses in the world.
+    """
+    radius, half_width = 0.02, 0.006  # m
+    forward = torch.nn.functional.normalize(torch.linalg.cross(axes, torch.tensor([[0.0, 0.0, 1.0]]).to(axes)), dim=1)
+    upward = torch.linalg.cross(forward, axes)
+    turns = torch.linspace(0.0, 2.0 * torch.pi, 721, dtype=axes.dtype)[:, None, None]
+    circle = centres + radius * (turns.cos() * forward + turns.sin() * upward)
+    rims = torch.cat((circle - half_width * axes, circle + half_width * axes))
+    return torch.minimum(rims[..., 0] - face, top - rims[..., 2]).amax(dim=0).clamp(min=0.0)
+
+
 def watch(env: Any, steps: int, action: float = 0.0) -> dict[str, torch.Tensor]:
     shown = [env.reset()[0]["seen"]]
     actions = torch.full((env.num_envs, env.action_manager.total_action_dim), action)
