@@ -107,7 +107,7 @@ def wheels_that_do_not_roll(_case: Case, robot: CompiledRobot) -> Iterator[Findi
 def cylinder_edges(_case: Case, robot: CompiledRobot) -> Iterator[Finding]:
     """MuJoCo 4.0.0 computes wrong contacts of the robot's cylinders with the edges of boxes and height fields.
 
-    A driven wheel of 20 mm radius penetrates the edge of a step by 10 mm with MuJoCo 4.0.0 and by 3 mm with 4.0.1, so
+    A driven wheel of 20 mm radius penetrates the edge of a step by 9 mm with MuJoCo 4.0.0 and by 4 mm with 4.0.1, so
     the robot climbs steps that it cannot climb with 4.0.1. Source: MuJoCo's pull requests 3748 and 3752.
     """
     kind, types = mujoco.mjtGeom, robot.model.geom_type
