@@ -356,8 +356,8 @@ _COST = 0.15
 _TILT = 0.03  # By default, the reset event tilts the robot randomly by at most 0.03 rad.
 _DIP = 0.003  # A random start tilt may put a wheel into the ground by at most 0.3 % of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
-_AHEAD = 0.5  # An error of the travelled distance of half of the robot's size costs a reward of 1 per second.
-_TURNED = 0.05  # A heading error of 0.05 rad costs a reward of 1 per second.
+# An error of the travelled distance as large as the robot costs a reward of 1 per second, and 0.05 rad of heading, too.
+_TURNED = 0.05
 _TRAVEL = 4.5  # The integrated distance error is at most 4.5 times the robot's size; less lets a force push the robot.
 _LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
 _WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
@@ -393,7 +393,7 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   scale: {number(at_most(_wheel_scale(robot), 2))}    # rad/s per unit of action
 """
     if _rolls(robot):
-        scale = number(1.0 / (_AHEAD * robot.size), 2)
+        scale = number(2.0 / robot.size, 2)
         files[f"observation/{name}_travel.yaml"] = f"""# Distance and angle by which the robot is ahead of its command.
 {name}_travel:
   _target_: wheelleg_exp.mdp.observations.travel_error
@@ -544,9 +544,8 @@ def _rewards(robot: Survey) -> str:
     if robot.wheels:
         text += f"    wheel_air: {{threshold: {_threshold(robot)}}}    # N\n"
     if _rolls(robot):
-        ahead = _AHEAD * robot.size
-        weight, length = number(-1.0 / ahead**2, 2), number(ahead / _TURNED, 2)  # m per rad
-        text += f"    travel_error: {{command_name: base_velocity, weight: {weight}, heading_length: {length}}}\n"
+        weight, length = number(-1.0 / size**2, 2), number(size / _TURNED, 2)
+        text += f"    travel_error: {{command_name: base_velocity, weight: {weight}, heading_length: {length}}}   # m\n"
     return text
 
 
