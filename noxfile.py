@@ -110,7 +110,9 @@ def _test_on_top(session: nox.Session, tests: str) -> None:
 
 @nox.session
 def results(session: nox.Session) -> None:
-    """Repeat the trainings and evaluations of docs/results, all or the named ones, and compare them bit by bit."""
+    """Check the shipped policies, and repeat docs/results, all pages or the named ones, bit by bit."""
+    if not session.posargs:
+        session.run(sys.executable, "docs/make_policies.py", "check")
     names = session.posargs or sorted(path.stem for path in Path("docs/results").glob("*.json"))
     session.run(sys.executable, "-c", _MAIN, "results", *names, "--again")
 

@@ -3,6 +3,9 @@
 The zip file contains the networks of the run's last checkpoint, the config, the robot, and the evaluations of these
 networks. ``LICENSE`` is a text file with the origin and the licence of a foreign robot. To ship evaluations, make the
 zip file, evaluate ``stock:NAME``, and make the zip file again from the run directory in ``runs/stock``.
+
+``python docs/make_policies.py check [NAME ...]`` evaluates all policies, or the named ones, and compares their metrics
+with the bounds in ``assets/policies/gates.yaml``. The exit status is 1 if a policy violates a bound.
 """
 
 from __future__ import annotations
@@ -13,16 +16,21 @@ import shutil
 import sys
 import tempfile
 import zipfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from wheelleg_exp.evaluation.result import Evaluation
 from wheelleg_exp.files import dump_json, read_yaml, sha256, write_bytes, write_text, write_yaml
+from wheelleg_exp.jobs.evaluate_policy import evaluate_run
+from wheelleg_exp.jobs.pipeline.pipeline_phases import Gate, judge
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME, inventory, record_files
 from wheelleg_exp.run.manifest import text_with_digest
 from wheelleg_exp.run.run_directory import RunDirectory, checkpoint_iteration
-from wheelleg_exp.run.stock_policies import SUMS
+from wheelleg_exp.run.stock_policies import GATES, PREFIX, SUMS, stock_names
+from wheelleg_exp.terms.config_sections import read_section
 
 _COPIED = ("params/env.yaml", "params/agent.yaml", ".hydra/config.yaml", ".hydra/overrides.yaml", "environment.txt")
 _ROBOT = ("asset/asset.json", "asset/robot.xml", "asset/report.json")
@@ -90,5 +98,29 @@ def main(name: str, run: str, license_file: str | None = None) -> None:
     write_text(target.with_name(SUMS), "".join(sums))
 
 
+def check(names: Sequence[str], evaluate: Callable[[str, list[str]], Evaluation]) -> list[str]:
+    """Return the bounds in ``gates.yaml`` that the policies ``names`` violate, in words.
+
+    ``evaluate`` evaluates the policy of a name with the given overrides.
+    """
+    gates = read_yaml(assets_dir() / "policies" / GATES)
+    why = []
+    for name in names:
+        for node in (gates["own"][name], *([] if name in gates["exempt"] else [gates["standing"]])):
+            gate = read_section(Gate, node, name)
+            found = evaluate(name, [f"protocol={gate.protocol}", *gate.overrides])
+            verdict = judge(gate, {metric: figure.value for metric, figure in found.metrics.items()})
+            sys.stdout.write(f"{name}, protocol={gate.protocol}: {verdict.values}\n")
+            why += [f"{PREFIX}{name}, protocol={gate.protocol}: {text}" for text in verdict.why]
+    return why
+
+
+def _evaluated(name: str, overrides: list[str]) -> Evaluation:
+    command = ["wheelleg", "evaluate", PREFIX + name, *overrides]
+    return evaluate_run(RunDirectory.open(PREFIX + name, "runs"), None, overrides, command).evaluation
+
+
 if __name__ == "__main__":
+    if sys.argv[1] == "check":
+        sys.exit("\n".join(check(sys.argv[2:] or stock_names(), _evaluated)) or 0)
     main(*sys.argv[1:])

@@ -1,9 +1,11 @@
 import hashlib
 import json
 import re
+import runpy
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -11,12 +13,17 @@ from jobs.small import wheelleg
 from refused import refusal
 
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import sha256
+from wheelleg_exp.evaluation.protocol import metric_names
+from wheelleg_exp.files import read_yaml, sha256
+from wheelleg_exp.jobs.evaluate_policy import evaluation_settings
+from wheelleg_exp.jobs.saved_robot import saved_mjcf
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.rl.checkpoint import require_resumable
 from wheelleg_exp.run import stock_policies
+from wheelleg_exp.run.run_config import load_params, on_reference_engine
 from wheelleg_exp.run.run_directory import RunDirectory
 
+ROOT = Path(__file__).resolve().parents[2]
 NAMES = stock_policies.stock_names()
 QUICK = ["recording.enabled=false", "--json"]
 
@@ -140,3 +147,33 @@ def test_the_digests_are_those_of_the_files_and_the_files_are_small():
     lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in sorted(folder.glob("*.zip"))]
     assert (folder / stock_policies.SUMS).read_text().splitlines() == lines
     assert sum(path.stat().st_size for path in folder.iterdir()) < 15e6
+
+
+def checked(**measured):
+    """Return the violated bounds if each metric has the value of its bound, except the ``measured`` ones."""
+    module = runpy.run_path(str(ROOT / "docs" / "make_policies.py"))
+    gates = read_yaml(assets_dir() / "policies" / stock_policies.GATES)
+
+    def evaluate(name, overrides):
+        gate = gates["standing" if overrides == ["protocol=stand"] else "own"]
+        gate = gate.get(name, gate)
+        run = RunDirectory.open(f"stock:{name}", "runs")
+        _, protocol = evaluation_settings(run, overrides)
+        bounds = {**gate.get("at_least", {}), **gate.get("at_most", {})}
+        assert set(bounds) <= set(metric_names(on_reference_engine(load_params(run)[0]), saved_mjcf(run), protocol))
+        values = bounds | {key: value for key, value in measured.items() if key in bounds}
+        return SimpleNamespace(metrics={key: SimpleNamespace(value=value) for key, value in values.items()})
+
+    return module["check"](NAMES, evaluate)
+
+
+def test_a_policy_that_drifts_does_not_pass_unless_play_warns(own_folders):
+    assert checked() == []
+    assert checked(**{"stand/drift_worst": 0.347}) == [
+        f"stock:{name}, protocol=stand: stand/drift_worst is 0.347, but must be at most 0.1"
+        for name in NAMES
+        if name not in ("get_up", "jump")
+    ]
+    words = ("env.num_envs=1", *QUICK)
+    assert "it drifts by 0.35 m and turns by 7 degrees in 60 s" in wheelleg("play", "stock:jump", *words).err
+    assert "drifts" not in wheelleg("play", "stock:walk", *words).err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,8 +38,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate one episode with a trained policy, record the episode, and print performance figures of the episode."""
     from wheelleg_exp.run.run_directory import RunDirectory
+    from wheelleg_exp.run.stock_policies import known_fault
 
     directory = RunDirectory.open(args.run, args.root)
+    fault = known_fault(directory.manifest().data.get("stock"))
+    if fault is not None:
+        print(f"warning: this policy does not meet the bounds of shipped policies: it {fault}", file=sys.stderr)
     checkpoint = chosen_checkpoint(directory, args.checkpoint)
     if args.drive or args.script is not None:
         return _run_drive(args, directory, checkpoint)

@@ -10,11 +10,11 @@ import zipfile
 from pathlib import Path
 
 from wheelleg_exp.errors import RunDirectoryError, nearest_name
-from wheelleg_exp.files import for_people, read_text, sha256, sync_folder, temporary_folder
+from wheelleg_exp.files import for_people, read_text, read_yaml, sha256, sync_folder, temporary_folder
 from wheelleg_exp.paths import assets_dir
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 
-PREFIX, FOLDER, SUMS = "stock:", "stock", "SHA256SUMS"
+PREFIX, FOLDER, SUMS, GATES = "stock:", "stock", "SHA256SUMS", "gates.yaml"
 
 
 def stock_names() -> list[str]:
@@ -52,6 +52,12 @@ def stock_run(name: str, root: Path) -> Path:
         expected = f"an unchanged file; delete '{target}' to have it unpacked again"
         raise RunDirectoryError(message, key=str(path), expected=expected)
     return target
+
+
+def known_fault(name: object) -> str | None:
+    """Return the reason why the policy ``name`` ships although it does not meet the bounds of standing, or None."""
+    fault: str | None = read_yaml(assets_dir() / "policies" / GATES)["exempt"].get(str(name))
+    return fault
 
 
 def is_stock(folder: Path, name: object) -> bool:
