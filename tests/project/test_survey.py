@@ -375,8 +375,10 @@ def test_the_stock_robots_file_makes_a_project_that_passes_its_own_check(tmp_pat
     assert command["max_travel_error"] >= 0.3
     assert all(list(env["observations"][group]["terms"]).count("mine_travel") == 1 for group in ("policy", "critic"))
     # Both errors cost 1 per second. docs/robot.md states a standing height of 70 mm.
-    assert reward["weight"] * 0.070**2 == pytest.approx(-1.0, rel=0.05)
-    assert reward["weight"] * (reward["heading_length"] * 0.05) ** 2 == pytest.approx(-1.0, rel=0.1)  # of two digits
+    weight = env["curriculum"]["mine_travel"]["weight"]
+    assert weight * (0.3 * 0.070) ** 2 == pytest.approx(-1.0, rel=0.05)
+    assert weight * (reward["heading_length"] * 0.05) ** 2 == pytest.approx(-1.0, rel=0.1)  # of two digits
+    assert reward["weight"] == pytest.approx(0.1 * weight, rel=0.05)
 
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"

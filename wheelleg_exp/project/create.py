@@ -91,6 +91,7 @@ _TEMPLATES = {
 _NEVER_SILENCED = ("missing_files", "robot_size")  # Lint rules about errors of the robot file are never silenced.
 _PURPOSES = {
     "action": "the effect of one unit of action",
+    "curriculum": "the weight of the penalty for leaving the place, after 100 iterations",
     "observation": "what the policy observes of the legs or of the travelled distance",
     "reward": "the weight of this project's own reward",
     "termination": "links that must not touch anything",
@@ -356,8 +357,11 @@ _COST = 0.15
 _TILT = 0.03  # By default, the reset event tilts the robot randomly by at most 0.03 rad.
 _DIP = 0.003  # A random start tilt may put a wheel into the ground by at most 0.3 % of the robot's size.
 _STD = 0.5  # m/s and rad/s, largest
-# An error of the travelled distance as large as the robot costs a reward of 1 per second, and 0.05 rad of heading, too.
+_AHEAD = 0.3  # An error of the travelled distance of 0.3 of the robot's size costs a reward of 1 per second.
+# A heading error of 0.05 rad costs a reward of 1 per second.
 _TURNED = 0.05
+_EARLY = 0.1  # The penalty starts with 10 % of its weight, because a robot that cannot balance learns to fall early.
+_EARLY_STEPS = 2400  # control steps: 100 iterations
 _TRAVEL = 4.5  # The integrated distance error is at most 4.5 times the robot's size; less lets a force push the robot.
 _LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
 _WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
@@ -400,6 +404,13 @@ def config_files(name: str, robot: Survey) -> dict[str, str]:
   command_name: base_velocity
   scale: [{scale}, 20.0]    # per m, per rad
 """
+        files[f"curriculum/{name}_travel.yaml"] = f"""# A robot that balances must also stay in place.
+{name}_travel:
+  _target_: wheelleg_exp.mdp.curriculums.modify_reward_weight
+  term_name: travel_error
+  weight: {number(_travel_weight(robot), 2)}
+  num_steps: {_EARLY_STEPS}    # control steps: 100 iterations
+"""
     if robot.raised_bodies:
         files[f"termination/{name}_contact.yaml"] = f"""# A link that should not touch the ground touches something.
 {name}_contact:
@@ -436,6 +447,7 @@ def task_yaml(name: str, robot: Survey) -> str:
     )
     limit = "  terminations:\n    bad_orientation: {limit_angle: 0.8}   # rad, of tilt from upright\n"
     ends_at = limit if robot.level else ""
+    later = f"\n  - /curriculum@env.curriculum: [{name}_travel]" if rolls else ""
     integrated = "\n  - /command/wheeled@env.commands: [base_velocity]" if rolls else ""
     most = number(_TRAVEL * robot.size, 2)
     travel = f"""      max_travel_error: {most}          # m; farther than a constant force pushes the robot
@@ -457,7 +469,7 @@ defaults:
   - /event@env.events: [physics_material, add_base_mass, base_external_force_torque, reset_base, reset_robot_joints]
   - /reward@env.rewards:
       [{rewards}]
-  - /termination@env.terminations: [{ends}]
+  - /termination@env.terminations: [{ends}]{later}
   - override /agent: quick
   - _self_
 
@@ -544,9 +556,15 @@ def _rewards(robot: Survey) -> str:
     if robot.wheels:
         text += f"    wheel_air: {{threshold: {_threshold(robot)}}}    # N\n"
     if _rolls(robot):
-        weight, length = number(-1.0 / size**2, 2), number(size / _TURNED, 2)
+        weight = number(_EARLY * _travel_weight(robot), 2)
+        length = number(1.0 / (_TURNED * math.sqrt(-_travel_weight(robot))), 2)
         text += f"    travel_error: {{command_name: base_velocity, weight: {weight}, heading_length: {length}}}   # m\n"
     return text
+
+
+def _travel_weight(robot: Survey) -> float:
+    """Return the weight with which a distance error of 0.3 of the robot's size costs a reward of 1 per second."""
+    return -1.0 / (_AHEAD * robot.size) ** 2
 
 
 def _rolls(robot: Survey) -> bool:
