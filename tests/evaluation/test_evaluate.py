@@ -58,7 +58,7 @@ def test_the_limit_of_the_reference_is_what_was_measured_elsewhere(task):
     short = words("push", episodes=1, directions=2, pulses_s="[0.0]", after_s=2.0, iterations=6)
     found = evaluate(*task, balancer(1.0), protocol("push", *short))
     limits = found.episodes["limit_m_s"]
-    assert limits == pytest.approx(0.32, abs=0.06)  # forwards and backwards
+    assert limits == pytest.approx(0.38, abs=0.03)  # forwards and backwards
     assert found.episodes["limit_normalised"] == pytest.approx(limits / np.sqrt(9.81 * 0.07), rel=1e-5)
     assert found.value("push/recovered") == 1.0
 

@@ -12,7 +12,7 @@ import torch
 from evaluation.conftest import protocol, read_protocol, stub_env, words, zeros
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation.disturbance_tests import disturbances, gain_ramp, margin, world, worlds
+from wheelleg_exp.evaluation.disturbance_tests import add_velocity, disturbances, gain_ramp, margin, world, worlds
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options
 from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.evaluation.policy_rollout import Rollout
@@ -52,6 +52,27 @@ def test_commands_follow_the_table_and_appear_in_every_observation(task):
     assert torch.equal(torch.stack(seen), expected)
     assert torch.equal(found.command, expected)
     assert (standing[0], standing[-1]) == ([False, False], [False, True])
+
+
+def test_the_next_observation_and_the_stored_state_before_it_show_a_push(task):
+    made = rollout(task, Scenarios("push", 0.2, (0.0,), (((0.0, 0.0, 0.0),),), ("a",), 2))
+    policy, seen = zeros(made.env), []
+
+    def watched(observations):
+        seen.append(observations["critic"].clone())
+        return policy(observations)
+
+    def push(step):
+        if step == 5:
+            add_velocity(made.env, torch.tensor([[0.3, 0.0], [0.0, -0.3]]))
+
+    quiet, pushed = (made.roll(watched, 3, disturb=disturb) for disturb in (None, push))
+    assert [torch.equal(*pair) for pair in zip(seen[:12], seen[12:], strict=True)] == [True] * 5 + [False] * 7
+    change = torch.linalg.vector_norm(pushed.vel - quiet.vel, dim=-1)
+    assert not change[:4].any()
+    assert change[4].tolist() == pytest.approx([0.3, 0.3])
+    assert torch.equal(pushed.pos[:5], quiet.pos[:5])
+    assert made.env.observers == []
 
 
 def held(task, name, term, make, *changes) -> torch.Tensor:

@@ -126,7 +126,9 @@ class Rollout:
         """Run a policy from the start states of ``seed`` until the scenarios' end, or until every episode has ended.
 
         The policy maps observations by group to raw actions (N, A). ``progress`` is called with the numbers of finished
-        and of all steps after each control step, and ``disturb`` with the number of the step before it.
+        and of all steps after each control step, and ``disturb`` with the number of the step before it. A push acts at
+        the end of the previous step, as Isaac Lab's interval events do in training. The next observation and the
+        previous step's stored state therefore show the push, and the policy's next action can react to it.
         """
         env = self.env
         observations = self.start(seed)
@@ -134,14 +136,15 @@ class Rollout:
             policy.reset()
         made = Trajectories.empty(self.steps, env.num_envs, self.parts, env.action_manager.total_action_dim, env)
         alive = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
-        segment = 0
+        segment, observers = 0, env.observers
+        if disturb is not None:
+            disturb(0)
+            env.observers = [*observers, lambda: disturb(step + 1)]
         for step in range(self.steps):
             actions = policy(observations)
             numbers = torch.isfinite(actions).all(dim=1)
             # Robots with an ended episode or NaN actions get zero actions, because their simulation continues.
             actions = torch.where((alive & numbers).unsqueeze(1), actions, 0.0)
-            if disturb is not None:
-                disturb(step)
             command = self._held.command.clone()
             if segment + 1 < len(self._begins) and step + 1 >= self._begins[segment + 1]:
                 segment += 1
@@ -160,6 +163,7 @@ class Rollout:
                 progress(step + 1, self.steps)
             if not bool(alive.any()):
                 break
+        env.observers = observers
         return made
 
     def _store_motion(self, made: Trajectories, step: int) -> None:
