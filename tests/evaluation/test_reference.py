@@ -15,7 +15,7 @@ from wheelleg_exp.evaluation.disturbance_tests import tiles
 from wheelleg_exp.evaluation.lqr_balancer import Pendulum, Plant, Reference, pendulum_of
 from wheelleg_exp.evaluation.protocol_options import Terrain
 
-SECONDS, STEP_AT, KICK_AT = 9.0, 3.0, 4.0
+SECONDS, STEP_AT, KICK_AT = 11.0, 3.0, 4.0
 COMMANDS = (0.0, 0.1, 0.3, 0.8, 0.3, 0.0, 0.0, 0.0)  # m/s, from STEP_AT on
 TURNS = (0.0, 0.0, 0.0, 0.0, 0.5, 0.5, 0.0, 0.0)  # rad/s
 KICKS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.28, 0.36)  # m/s, forwards, at KICK_AT
@@ -138,7 +138,7 @@ def test_it_stands_still_as_measured_and_returns_to_its_place_after_a_kick(rolle
     settled = rolled["x"][begin:, 0]
     assert float(settled.max() - settled.min()) < 1e-4
     moved = rolled["x"][:, [0, 6]] - rolled["x"][0, [0, 6]]
-    assert float(moved[-1].abs().max()) < 6e-3
+    assert float(moved[-1].abs().max()) < 1.5e-3
     assert float(moved[:, 0].abs().max()) < 0.02
 
 

@@ -21,6 +21,7 @@ from wheelleg_exp.anatomy.robot_anatomy import anatomy_of
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env
 from wheelleg_exp.mdp.actions import JointAction, JointEffortAction, JointPositionAction, JointVelocityAction
+from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.terrain.terrain_base import is_ground
 
 Array = np.ndarray
@@ -255,7 +256,8 @@ def _unusable(message: str) -> ConfigError:
 class Reference:
     """An LQR balancer that is called like a policy, and returns the task's actions.
 
-    It reads pitch and pitch rate from the IMU with its tilt and bias, but without noise, and the velocity exactly.
+    It reads pitch and pitch rate from the IMU with its tilt and bias, but without noise, and the exact position and
+    velocity.
 
     The target of a wheel is its speed plus u, the optimal input of the compiled robot (``Plant``). A speed difference
     between left and right wheels turns the robot to the commanded heading. All other joints stay at their default
@@ -299,6 +301,7 @@ class Reference:
         self._is_clipped = torch.zeros(env.num_envs, dtype=torch.bool, device=device)
         centres = np.mean([wheel.centre for wheel in wheels], axis=0)
         self._axle = torch.tensor(centres, dtype=torch.float32, device=device)
+        self._axle_before = torch.zeros(env.num_envs, 3, device=device)
 
     def describe(self) -> dict[str, object]:
         """Return the pendulum model and the LQR gains as a dictionary for JSON."""
@@ -316,8 +319,12 @@ class Reference:
         along = pitch.cos().unsqueeze(1) * self._forward + pitch.sin().unsqueeze(1) * self._up
         of_axle = data.root_link_lin_vel_b + torch.linalg.cross(data.root_ang_vel_b, self._axle.expand_as(along))
         velocity = (of_axle * along).sum(dim=1)
-        yaw, fresh = data.heading_w, env.episode_length_buf == 0
-        self._place, self._speed = (torch.where(fresh, 0.0, value) for value in (self._place, self._speed))
+        yaw, fresh, turned = data.heading_w, env.episode_length_buf == 0, data.root_rot_w
+        # Do not integrate the velocity: a kick between two steps would leave an error of half a step times its speed.
+        axle = data.root_pos_w + rotation.rotate(turned, self._axle.expand_as(along))
+        moved = ((axle - self._axle_before) * rotation.rotate(turned, along)).sum(dim=1)
+        self._axle_before = axle
+        self._place, self._speed = (torch.where(fresh, 0.0, value) for value in (self._place + moved, self._speed))
         self._heading = torch.where(fresh, yaw, self._heading)
         forward, turn = self._command.command[:, 0], self._command.command[:, 2]
         most = _ACCELERATION * self.pendulum.gravity * dt
@@ -332,7 +339,7 @@ class Reference:
         off = torch.remainder(self._heading - yaw + math.pi, 2 * math.pi) - math.pi
         spin = (turn + _HEADING * off) * self.pendulum.track / (2 * self.pendulum.radius)
         targets = (wheel.unsqueeze(1) + spin.unsqueeze(1) * self._sides) * self._signs
-        self._place = self._place + (velocity - self._speed) * dt
+        self._place = self._place - self._speed * dt
         self._heading = self._heading + turn * dt
         return self._actions(targets)
 
