@@ -335,7 +335,7 @@ class Robust:
         horizon_s: length of each episode, s.
         lin_vel_x: forward speeds, m/s.
         friction: coefficients between the robot and the ground.
-        impratio: ratios of frictional to normal impedance of the contacts in MuJoCo; wheels creep less with larger ones.
+        impratio: ratios of frictional to normal impedance of the contacts; wheels creep less with larger ones.
         mass: factors on the masses of all bodies.
         com: shifts of the base's centre of mass along x, m.
         gains: factors on kp and kd of all actuators.
