@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 
@@ -274,7 +275,7 @@ def identity(rollout: Rollout, made: Trajectories) -> dict[str, Array]:
 
 
 def about(rollout: Rollout) -> dict[str, object]:
-    """Return the facts of every result: the robot's profile and drives, the time steps, and the engine."""
+    """Return the facts of every result: the robot's profile and drives, time steps, engine, and contact model."""
     env, parts = rollout.env, rollout.parts
     armature, limits = env.scene.robot.data.joint_armature[0].tolist(), parts.effort_limit[0].tolist()
     names, promise = parts.joint_names, env.scene.sim.promise()
@@ -287,6 +288,8 @@ def about(rollout: Rollout) -> dict[str, object]:
         "physics_dt_s": env.physics_dt,
         "step_dt_s": env.step_dt,
         "engine": env.scene.sim.name,
+        "mujoco": mujoco.mj_versionString(),
+        "contacts": f"{env.options.sim.cone} cones, impratio {env.options.sim.impratio:g}",
         "device": str(env.device),
         "model_sha256": env.scene.model_digest(),
         **({} if promise["exact"] else {"promise": promise}),

@@ -17,7 +17,7 @@ from typing import TypedDict, cast
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import RunDirectoryError
-from wheelleg_exp.files import for_people, json_plain, read_json, read_text, write_json, write_text
+from wheelleg_exp.files import for_people, json_plain, read_json, read_text, write_bytes, write_json, write_text
 from wheelleg_exp.jobs.compare_evaluations import Compared, compare
 from wheelleg_exp.jobs.evaluate_policy import Evaluated, evaluate_run
 from wheelleg_exp.jobs.train.source_roots import shorten
@@ -41,6 +41,14 @@ _FOOTNOTE = (
     " over runs and episodes, contains 0."
 )
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
+_PLOTTED = ("stand", "walk", "push", "terrain", "robust")  # tests whose plots stand first on a page
+# The metrics in the table of a page that is not folded away, with all margins.
+_FIRST = (
+    *("survival", "success", "worst_success", "worst_success_hardest", "worst_survival", "drift", "drift_worst"),
+    *("yaw_drift", "error_vx_steady", "error_wz_steady", "zero_drift", "zero_yaw_drift", "torque_share_wheels"),
+    *("height_rmse", "action_acceleration", "limit_0s", "limit_worst_0s", "limit_0.15s"),
+)
+_ROWS = 10  # number of rows of this table
 
 
 class Recipe(TypedDict):
@@ -70,10 +78,12 @@ class EvaluationNumbers(TypedDict):
 
 class _Profile(TypedDict, total=False):
     profile: str | None
+    mujoco: str
+    contacts: str
 
 
 class About(_Profile):
-    """The robot's profile, and the steps of the evaluation, s."""
+    """The robot's profile, the steps of the evaluation, s, and, since November 2026, the engine and its contacts."""
 
     physics_dt_s: float
     step_dt_s: float
@@ -139,9 +149,16 @@ class ResultManifest(ProcessFacts):
 
 def result_page(record: ResultRecord, manifests: Sequence[ResultManifest]) -> str:
     """Return a result as Markdown."""
-    parts = [f"# {record['name']}\n", *_introduction(record, manifests)]
-    for group, names in groupby(record["over_seeds"], lambda metric: metric.partition("/")[0]):
-        parts += [f"## {group}\n", *_table(record, list(names)), ""]
+    groups = {test: list(names) for test, names in groupby(record["over_seeds"], lambda name: name.partition("/")[0])}
+    plots = [f"![{test} of the first run]({record['name']}/{test}.png)\n" for test in groups if test in _PLOTTED]
+    parts = [f"# {record['name']}\n", *plots, *_introduction(record, manifests)]
+    first = [name for name in record["over_seeds"] if _short(name) in _FIRST or "/margin/" in name][:_ROWS]
+    folded = f'<details markdown="1"><summary>All {len(record["over_seeds"])} metrics</summary>\n'
+    parts += [*_table(record, first, str), "", folded]
+    parts += [f"{record['verdict']}\n"] if record["verdict"] else []
+    for test, names in groups.items():
+        parts += [f"## {test}\n", *_table(record, names, _short), ""]
+    parts.append("</details>\n")
     parts += ["## How it was made\n", "```"]
     for run in record["runs"]:
         parts += _commands(run["train"])
@@ -158,6 +175,10 @@ def result_page(record: ResultRecord, manifests: Sequence[ResultManifest]) -> st
     return "\n".join(parts) + "\n"
 
 
+def _short(metric: str) -> str:
+    return metric.partition("/")[2]
+
+
 def _introduction(record: ResultRecord, manifests: Sequence[ResultManifest]) -> Iterator[str]:
     about = record["about"]
     profile = f"The config file with `profile: {about['profile']}` defines the robot. " if about.get("profile") else ""
@@ -165,7 +186,8 @@ def _introduction(record: ResultRecord, manifests: Sequence[ResultManifest]) -> 
     scenarios = record["scenarios_sha256"][:16]
     yield f"This page evaluates policies in the test episodes of `protocol={record['protocol']}` (docs/evaluation.md)."
     steps = f"physics step was {about['physics_dt_s']:.6g} s, the control step {about['step_dt_s']:.6g} s"
-    yield f"The evaluation protocol and its seed have the SHA-256 `{scenarios}…`. {profile}The {steps}."
+    ground = f", on MuJoCo {about['mujoco']} with contacts of {about['contacts']}" if "contacts" in about else ""
+    yield f"The evaluation protocol and its seed have the SHA-256 `{scenarios}…`. {profile}The {steps}{ground}."
     took = [manifest.results.get("seconds") for manifest in manifests]
     times = ", ".join(f"{seconds:.0f} s" for seconds in took if isinstance(seconds, (int, float)))
     machines = dict.fromkeys(machine for manifest in manifests for machine in machines_of(manifest))
@@ -174,8 +196,6 @@ def _introduction(record: ResultRecord, manifests: Sequence[ResultManifest]) -> 
     yield f"{what} ({seeds}) took {times} on {', and on '.join(machines)}.\n"
     if record["push_verdict"]:
         yield f"**{record['push_verdict']}**\n"
-    if record["verdict"]:
-        yield f"{record['verdict']}\n"
     count, differences = len(record["runs"]), record["differences"] or {}
     if any(_outcome(difference, count).endswith(_MARK) for difference in differences.values()):
         yield f"{_FOOTNOTE}\n"
@@ -189,7 +209,7 @@ def machines_of(manifest: ProcessFacts) -> Iterator[str]:
         yield f"{hardware.get('cpu')}, {hardware.get('cores_usable')} cores{gpu}"
 
 
-def _table(record: ResultRecord, names: Sequence[str]) -> Iterator[str]:
+def _table(record: ResultRecord, names: Sequence[str], label: Callable[[str], str]) -> Iterator[str]:
     count = len(record["runs"])
     over = ["mean", "95 % interval", "noise floor"] if count > 1 else ["95 % interval"]
     reference, against = record["reference"], record["differences"]
@@ -210,7 +230,7 @@ def _table(record: ResultRecord, names: Sequence[str]) -> Iterator[str]:
             cells.append(_number(one["value"] if (one := reference["metrics"].get(name)) else None, factor))
         if against:
             cells.append(_outcome(against[name], count) if name in against else "")
-        yield f"| {name.partition('/')[2]} | {unit} | " + " | ".join(cells) + " |"
+        yield f"| {label(name)} | {unit} | " + " | ".join(cells) + " |"
 
 
 def _outcome(difference: DifferenceRow, count: int) -> str:
@@ -256,8 +276,11 @@ def write_results(
         write_json(path, manifest)
     write_json(folder / f"{name}.json", record)
     write_text(folder / f"{name}.md", result_page(record, read_manifests(record, folder)))
+    plots = {folder / name / plot.name: plot.read_bytes() for plot in runs[0].folder.glob("*.png")}
+    for path, image in plots.items():
+        write_bytes(path, image)
     with for_people(folder, "written to"):
-        for path in earlier.difference(files):
+        for path in earlier.difference(files, plots):
             path.unlink(missing_ok=True)
     return [folder / f"{name}.md", folder / f"{name}.json", *files]
 
@@ -268,6 +291,7 @@ def earlier_manifests(name: str, folder: Path) -> set[Path]:
     if not path.exists():
         return set()
     found = {folder / name / f"{run['id']}.json" for run in read_record(path)["runs"]}
+    found.update((folder / name).glob("*.png"))
     return {path for path in found if path.parent == folder / name and path.is_file()}
 
 

@@ -1,0 +1,109 @@
+"""Compare the time of a training with its floor, in one process.
+
+    python benchmarks/training_floor.py [key=value ...]
+
+The floor of an iteration is the time of its physics steps alone, of one forward pass of both networks per control step,
+and of the gradient steps of an update: forward, backward, and Adam, on random samples. With a mirror loss, an update
+passes each sample through the policy twice. The states for the physics are those at the end of the training. The floor
+is measured five times before and after the training; the medians count.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from itertools import pairwise
+
+from wheelleg_exp.machine import prepare_threads
+
+prepare_threads()
+
+import torch  # noqa: E402  (thread variables come first)
+from torch import nn  # noqa: E402
+
+from wheelleg_exp.build import build_env  # noqa: E402
+from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul  # noqa: E402
+from wheelleg_exp.rl.options import read_agent  # noqa: E402
+from wheelleg_exp.rl.trainer import Trainer  # noqa: E402
+from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
+from wheelleg_exp.sim.batch_engine import BatchEngine  # noqa: E402
+
+
+def mlp(inputs: int, hidden: list[int], outputs: int) -> nn.Sequential:
+    """Return a network of linear layers with ELU between them."""
+    sizes = [inputs, *hidden, outputs]
+    layers = [layer for a, b in pairwise(sizes) for layer in (nn.Linear(a, b), nn.ELU())]
+    return nn.Sequential(*layers[:-1])
+
+
+def seconds(work: Callable[[], None]) -> float:
+    """Return the median duration of five calls, s."""
+    took = []
+    for _ in range(5):
+        start = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - start)
+    return statistics.median(took)
+
+
+def main() -> None:
+    """Train, and print the floor, the time of the training, and their ratio."""
+    config = compose(sys.argv[1:] or ["task=stand"]).config
+    agent = read_agent(config["agent"])
+    torch.set_num_threads(config["agent"]["torch_threads"])
+    built = build_env(config)
+    env = RslRlVecEnv(built, agent.clip_actions)
+    trainer = Trainer(env, agent, config["seed"])
+    count, steps, settings = env.num_envs, agent.num_steps_per_env, config["agent"]["algorithm"]
+    samples = count * steps // settings["num_mini_batches"]
+    updates = settings["num_learning_epochs"] * settings["num_mini_batches"]
+    twice = 2 if (settings.get("symmetry_cfg") or {}).get("use_mirror_loss") else 1
+    widths = {name: env.get_observations()[name].shape[1] for name in ("policy", "critic")}
+    actor = mlp(widths["policy"], config["agent"]["actor"]["hidden_dims"], env.num_actions)
+    critic = mlp(widths["critic"], config["agent"]["critic"]["hidden_dims"], 1)
+    engine = built.scene.sim
+    assert isinstance(engine, BatchEngine)
+    alone = BatchEngine(engine.model, count, engine.nthread)
+    adam = torch.optim.Adam([*actor.parameters(), *critic.parameters()])
+
+    def physics() -> None:
+        alone.state.copy_(engine.state)
+        for _ in range(steps):
+            alone.batch.step(nstep=built.decimation)
+
+    @torch.inference_mode()
+    def acting() -> None:
+        for _ in range(steps):
+            actor(torch.zeros(count, widths["policy"]))
+            critic(torch.zeros(count, widths["critic"]))
+
+    def update() -> None:
+        for _ in range(updates):
+            loss = actor(torch.zeros(twice * samples, widths["policy"])).square().mean()
+            loss = loss + critic(torch.zeros(samples, widths["critic"])).square().mean()
+            adam.zero_grad()
+            loss.backward()
+            adam.step()
+
+    def floor() -> list[float]:
+        half = chosen_matmul(agent) == "bfloat16"
+        with bfloat16_products([actor, critic]) if half else nullcontext():
+            return [seconds(physics), seconds(acting), seconds(update)]
+
+    before, start = floor(), time.perf_counter()
+    for _ in trainer.learn(agent.max_iterations):
+        pass
+    took = time.perf_counter() - start
+    after = floor()
+    parts = [agent.max_iterations * (a + b) / 2 for a, b in zip(before, after, strict=True)]
+    names = ("physics", "acting", "update")
+    print(", ".join(f"{name} {part:.1f} s" for name, part in zip(names, parts, strict=True)))
+    print(f"floor {sum(parts):.1f} s, training {took:.1f} s: {took / sum(parts):.2f} times the floor")
+
+
+if __name__ == "__main__":
+    main()
