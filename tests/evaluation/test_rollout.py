@@ -185,14 +185,14 @@ def test_sign_changes_are_counted_in_every_physics_step(torques, counted, expect
     assert [changes for _, changes in metered(*torques, counted=counted)] == expected
 
 
-SWEEPS = ("friction=[0.3]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[1.0]")
+SWEEPS = ("friction=[0.3]", "impratio=[100.0]", "mass=[0.7]", "com=[0.005]", "gains=[1.2]", "noise=[1.0]")
 
 
 @pytest.fixture(scope="module")
 def changed(task) -> dict[tuple[str, float], Env]:
     options = read_protocol("robust", *(f"protocol.robust.{sweep}" for sweep in SWEEPS))
     cfg = settings(task[0], options)
-    wanted = ("nominal", "friction", "mass", "com", "gains", "noise")
+    wanted = ("nominal", "friction", "impratio", "mass", "com", "gains", "noise")
     found = [world for world in worlds(cfg, options.robust) if world.sweep in wanted]
     return {(world.sweep, world.value): build(world.env, task[1], 1) for world in found}
 
@@ -204,6 +204,7 @@ def test_each_world_differs_in_the_property_of_its_name(changed):
     def of(sweep, value, field):
         return changed[sweep, value].scene.sim.expanded[field]
 
+    assert (model.opt.impratio, changed["impratio", 100.0].scene.model.opt.impratio) == (10.0, 100.0)
     robot = nominal.scene.robot.body_ids
     assert of("mass", 0.7, "body_mass")[:, robot].sum(dim=1).tolist() == pytest.approx([0.35, 0.35])
     moved = of("com", 0.005, "body_ipos")[:, robot[0]] - torch.from_numpy(model.body_ipos[int(robot[0])])
