@@ -398,6 +398,13 @@ def doctor(every: int = 1) -> dict[str, Any]:
 SEEDS, THREADS = (1, 2), (1, 2)
 
 
+def _earlier(task: str) -> list[str]:
+    """Return the settings with which the trainings were recorded, where the defaults differ now."""
+    agent = "ppo_mirror_loss" if task in ("walk", "velocity") else "ppo"
+    words = ["env.sim.cone=pyramidal", "env.sim.impratio=1.0", "env.commands.base_velocity.max_travel_error=0.1"]
+    return [f"agent={agent}", *words]
+
+
 def training(only: str | None = None) -> dict[str, Any]:
     """Train each task for three iterations of 64 environments: digests of the checkpoint and of the scalars.
 
@@ -420,7 +427,8 @@ def short_training(only: str | None = None) -> dict[str, Any]:
     found = {}
     for task in TASKS if only is None else [only]:
         with scratch() as folder:
-            words = [f"task={task}", "env.num_envs=64", "agent.max_iterations=2", "agent.num_steps_per_env=6"]
+            words = [f"task={task}", *_earlier(task), "env.num_envs=64", "agent.max_iterations=2"]
+            words += ["agent.num_steps_per_env=6"]
             words += ["env.sim.nthread=1", "agent.torch_threads=1", "recording.enabled=false"]
             status, _, err = command("train", *words, f"run.root={folder}/runs")
             assert status == 0, err
@@ -443,7 +451,7 @@ def cpu() -> str:
 
 def _trained(task: str, seed: int, threads: int) -> dict[str, Any]:
     with scratch() as folder:
-        words = [f"task={task}", f"seed={seed}", "env.num_envs=64", "agent.max_iterations=3"]
+        words = [f"task={task}", *_earlier(task), f"seed={seed}", "env.num_envs=64", "agent.max_iterations=3"]
         words += [f"env.sim.nthread={threads}", f"agent.torch_threads={threads}", "recording.enabled=false"]
         script = Path(sys.executable).with_name("wheelleg")
         done = subprocess.run([script, "train", *words, f"run.root={folder}/runs"], capture_output=True, text=True)

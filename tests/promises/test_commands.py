@@ -10,7 +10,7 @@ import pytest
 
 from .golden import REPOSITORY, STOCK_ROBOT, command
 from .parsers import COMMANDS
-from .runs import of_this_cpu, require_old_commit, unpack
+from .runs import of_this_cpu, require_old_code, unpack
 
 SHORT = "protocol=stand protocol.stand.episodes=2 protocol.stand.horizon_s=1.5 protocol.stand.survival_s=[0.5]"
 TINY = "env.num_envs=2 env.sim.nthread=1 agent.torch_threads=1"
@@ -127,9 +127,9 @@ def files(tmp_path, tmp_path_factory, monkeypatch) -> Iterator[dict[str, str]]:
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=[getattr(pytest.mark, m) for m in line.marks], id=line.words) for line in LINES]
 )
-def test_a_command_line_works(line: Line, files: dict[str, str]):
+def test_a_command_line_works(line: Line, files: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if line.words.startswith("replay"):
-        require_old_commit()
+        require_old_code(tmp_path, monkeypatch)
     words = [files.get(word.strip("{}"), word) for word in line.words.split()]
     status, out, err = command(*words)
     # On another kind of CPU, the numbers of a replay can differ from the old run, and the status is 1.
