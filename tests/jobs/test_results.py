@@ -347,9 +347,9 @@ def test_every_page_of_the_docs_shows_its_record_and_marks_verdicts_that_depend_
         for name, found in record["differences"].items()
         if found["outcome"] and found["interval"]["low"] < 0 < found["interval"]["high"]
     )
-    assert marked == zero
+    assert marked == (zero if len(record["runs"]) > 1 else [])
     # On these pages, all verdicts are clear for all seeds.
-    assert bool(zero) == (path.stem not in ("article", "jump", "robust_stand_none", "robust_walk"))
+    assert bool(zero) == (path.stem not in ("jump", "push_physical"))
     assert "¹" not in result_page({**record, "runs": record["runs"][:1]}, manifests[:1])
 
 
