@@ -15,14 +15,13 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from itertools import pairwise
 
 from wheelleg_exp.machine import prepare_threads
 
 prepare_threads()
 
 import torch  # noqa: E402  (thread variables come first)
-from torch import nn  # noqa: E402
+from rsl_rl.modules import MLP  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
@@ -31,13 +30,6 @@ from wheelleg_exp.rl.options import read_agent  # noqa: E402
 from wheelleg_exp.rl.trainer import Trainer  # noqa: E402
 from wheelleg_exp.rl.vec_env import RslRlVecEnv  # noqa: E402
 from wheelleg_exp.sim.batch_engine import BatchEngine  # noqa: E402
-
-
-def mlp(inputs: int, hidden: list[int], outputs: int) -> nn.Sequential:
-    """Return a network of linear layers with ELU between them."""
-    sizes = [inputs, *hidden, outputs]
-    layers = [layer for a, b in pairwise(sizes) for layer in (nn.Linear(a, b), nn.ELU())]
-    return nn.Sequential(*layers[:-1])
 
 
 def seconds(work: Callable[[], None]) -> float:
@@ -63,12 +55,14 @@ def main() -> None:
     updates = settings["num_learning_epochs"] * settings["num_mini_batches"]
     twice = 2 if (settings.get("symmetry_cfg") or {}).get("use_mirror_loss") else 1
     widths = {name: env.get_observations()[name].shape[1] for name in ("policy", "critic")}
-    actor = mlp(widths["policy"], config["agent"]["actor"]["hidden_dims"], env.num_actions)
-    critic = mlp(widths["critic"], config["agent"]["critic"]["hidden_dims"], 1)
+    actor = MLP(widths["policy"], env.num_actions, config["agent"]["actor"]["hidden_dims"])
+    critic = MLP(widths["critic"], 1, config["agent"]["critic"]["hidden_dims"])
     engine = built.scene.sim
     assert isinstance(engine, BatchEngine)
     alone = BatchEngine(engine.model, count, engine.nthread)
     adam = torch.optim.Adam([*actor.parameters(), *critic.parameters()])
+    # Not zeros: their gradients would be denormal numbers, which are slow.
+    policy, value = torch.randn(twice * samples, widths["policy"]), torch.randn(samples, widths["critic"])
 
     def physics() -> None:
         alone.state.copy_(engine.state)
@@ -78,13 +72,12 @@ def main() -> None:
     @torch.inference_mode()
     def acting() -> None:
         for _ in range(steps):
-            actor(torch.zeros(count, widths["policy"]))
-            critic(torch.zeros(count, widths["critic"]))
+            actor(policy[:count])
+            critic(value[:count])
 
     def update() -> None:
         for _ in range(updates):
-            loss = actor(torch.zeros(twice * samples, widths["policy"])).square().mean()
-            loss = loss + critic(torch.zeros(samples, widths["critic"])).square().mean()
+            loss = (actor(policy) - 1.0).square().mean() + (critic(value) - 1.0).square().mean()
             adam.zero_grad()
             loss.backward()
             adam.step()
