@@ -123,6 +123,20 @@ def test_returns_are_those_of_the_environment(make_trainer):
     assert done.scalars["Train/mean_reward"] == pytest.approx(sum(returns[-100:]) / len(returns[-100:]), rel=1e-5)
 
 
+# A policy that sees every second robot in a mirror learns the mean of the actions and their mirror images.
+@pytest.mark.parametrize(
+    ("agent", "learnt"), [("ppo", [0.3, -0.2, 0.1, 0.4, -0.5, 0.6]), ("ppo_mirrored", [0.2, 0.1, 0.2, 0.1, 0.05, 0.05])]
+)
+def test_a_warm_start_teaches_the_policy_the_controllers_actions(make_trainer, agent, learnt):
+    actions = torch.tensor([0.3, -0.2, 0.1, 0.4, -0.5, 0.6]).expand(16, 6)
+    trainer = make_trainer(f"agent={agent}", "agent.warm_start=15", controller=lambda: actions)
+    finish(trainer, 0)
+    assert trainer.iteration == 0
+    with torch.no_grad():
+        found = trainer.algorithm.actor(trainer.env.get_observations())
+    assert (found - torch.tensor(learnt)).abs().max() < 0.1
+
+
 def test_a_checkpoint_of_other_networks_does_not_fit(trainer, tiny_config, tmp_path):
     path = saved(trainer.state_dict(), tmp_path)
     with pytest.raises(RunDirectoryError) as caught:

@@ -85,13 +85,19 @@ class Learning:
 
 @dataclass(frozen=True, kw_only=True)
 class Agent(Learning):
-    """``agent`` of reinforcement learning: an actor and its critic."""
+    """``agent`` of reinforcement learning: an actor and its critic.
+
+    Attributes:
+        warm_start: number of rollouts before the first iteration in which the actor learns the actions of the reference
+            controller. A training with ``init_from`` has none.
+    """
 
     roles: ClassVar = ("actor", "critic")
 
     actor: Parameters
     critic: Parameters
     symmetry: SymmetryOptions | None = None
+    warm_start: Natural = 0
 
 
 @dataclass(frozen=True, kw_only=True)

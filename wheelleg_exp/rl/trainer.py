@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +22,7 @@ from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsav
 from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
 from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
-from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.rl.options import Agent, Learning
 from wheelleg_exp.rl.policy_average import PolicyAverage
 from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
@@ -45,8 +45,9 @@ class Trainer:
     """Trains a policy with the options of the agent.
 
     Initial weights, exploration, and minibatches are drawn from torch's global generator, which the environment does
-    not use. ``teacher`` is the checkpoint of a distillation's teacher. ``initial`` replaces random networks. Each
-    process (rank) has its own ``Trainer``.
+    not use. ``teacher`` is the checkpoint of a distillation's teacher. ``initial`` replaces random networks. Before the
+    first iteration, the policy imitates the ``controller``, which returns raw actions (N, A) for the present state.
+    Each process (rank) has its own ``Trainer``.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Trainer:
         teacher: Mapping[str, object] | None = None,
         initial: Initial | None = None,
         ranks: Ranks = ALONE,
+        controller: Callable[[], torch.Tensor] | None = None,
     ) -> None:
         self.env = env
         self.ranks = ranks
@@ -64,6 +66,8 @@ class Trainer:
         self.num_steps = agent.num_steps_per_env
         self.iteration = 0
         self._agent = agent
+        self._controller = controller
+        self._warm_start = agent.warm_start if isinstance(agent, Agent) else 0
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
         env.half = mirrored_half(env, agent)
@@ -88,6 +92,9 @@ class Trainer:
         parameter, or in physics and rewards of more environments than ``agent.max_non_finite`` allows.
         """
         self.algorithm.train_mode()
+        if self.iteration == 0 and self._controller is not None:
+            with self.ranks.agreed(), self._named_errors():
+                self._imitate(self._controller)
         if self.ranks.together:
             self.algorithm.broadcast_parameters()
         while self.iteration < until:
@@ -100,6 +107,35 @@ class Trainer:
             done = Iteration(self.iteration, scalars, self.num_steps * self.env.num_envs * self.ranks.size)
             self.iteration += 1
             yield done
+
+    def _imitate(self, controller: Callable[[], torch.Tensor]) -> None:
+        """Teach the policy the controller's actions in ``agent.warm_start`` rollouts.
+
+        The controller acts with the policy's exploration noise, so that the policy also learns to return from states
+        that the controller alone never reaches (Laskey et al., DART, 2017).
+        """
+        actor, ppo = self.algorithm.actor, self.algorithm
+        optimizer = torch.optim.Adam(actor.parameters(), 1e-3)
+        observations, seen, wanted = self.env.get_observations().to(self.device), [], []
+        for rollout in range(self._warm_start):
+            for _ in range(self.num_steps):
+                target = controller().to(self.device)
+                wanted.append(target if self.env.half is None else self.env.half.actions(target))
+                seen.append(observations)
+                with torch.no_grad():
+                    actor.update_normalization(observations)
+                    actions = actor(observations, stochastic_output=True)
+                if 3 * rollout < self._warm_start:
+                    actions = wanted[-1] + actions - actor.output_mean
+                observations = self.env.step(actions.to(self.env.env.device))[0].to(self.device)
+            samples, targets = torch.cat(seen), torch.cat(wanted)
+            size = self.num_steps * self.env.num_envs // ppo.num_mini_batches
+            for _ in range(2 * ppo.num_learning_epochs * ppo.num_mini_batches):
+                rows = torch.randint(len(targets), (size,), device=self.device)
+                loss = torch.nn.functional.mse_loss(actor(samples[rows]), targets[rows])
+                optimizer.zero_grad()
+                loss.backward()
+                optimizer.step()
 
     def _collect(self) -> None:
         with self.ranks.agreed(), self._named_errors(), no_global_draws("numpy", "python"):

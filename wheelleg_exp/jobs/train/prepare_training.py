@@ -24,6 +24,7 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.evaluation.lqr_balancer import Reference
 from wheelleg_exp.files import sync_folder
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.saved_robot import save_robot
@@ -34,7 +35,7 @@ from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.determinism import no_global_draws
-from wheelleg_exp.rl.options import DistillationAgent, Learning, Matmul
+from wheelleg_exp.rl.options import Agent, DistillationAgent, Learning, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
@@ -164,5 +165,7 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     path = recipe.asset.output.parent / TEACHER
     teacher = checkpoint.load(path) if isinstance(agent, DistillationAgent) and path.is_file() else None
     initial = saved_initial(experiment.init_from, recipe.asset)
-    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks)
+    imitates = isinstance(agent, Agent) and agent.warm_start > 0 and initial is None
+    controller = Reference(env) if imitates else None
+    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks, controller)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
