@@ -13,7 +13,7 @@ import torch
 from rsl_rl.models import MLPModel
 
 from wheelleg_exp.env.undeclared import UndeclaredChanges
-from wheelleg_exp.errors import RunDirectoryError, SimulationFailure, WheellegError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, WheellegError
 from wheelleg_exp.managers.non_finite import require_finite_actions
 from wheelleg_exp.managers.streams import stream_seed
 from wheelleg_exp.rl import checkpoint, policy_average
@@ -115,6 +115,8 @@ class Trainer:
         that the controller alone never reaches (Laskey et al., DART, 2017).
         """
         actor, ppo = self.algorithm.actor, self.algorithm
+        if actor.is_recurrent:
+            raise ConfigError("a recurrent policy cannot imitate", key="agent.warm_start", expected="0")
         optimizer = torch.optim.Adam(actor.parameters(), 1e-3)
         observations, seen, wanted = self.env.get_observations().to(self.device), [], []
         for rollout in range(self._warm_start):
