@@ -237,7 +237,7 @@ def test_a_task_gets_its_training_with_the_variant_that_needs_it():
     def iterations(*words):
         return compose(["task=walk", *words]).config["agent"]["max_iterations"]
 
-    assert (iterations(), iterations("realism=sensors"), iterations("realism=full", "~training")) == (120, 120, 120)
+    assert (iterations(), iterations("realism=sensors"), iterations("realism=full", "~training")) == (160, 400, 160)
     assert (iterations("realism=full"), iterations("realism=full", "agent.max_iterations=5")) == (1000, 5)
     with pytest.raises(ConfigError, match="'walk_ful' is not an option"):
         iterations("training=walk_ful")

@@ -48,7 +48,7 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
 def test_the_first_rollout_has_the_networks_of_the_other_run_or_its_policy_alone(trained: Trained, tmp_path):
     frozen = ("agent.max_iterations=1", FROZEN, "agent.algorithm.schedule=fixed")
     last = trained.run.latest_checkpoint()
-    run = train(tmp_path / "5", trained.run.path, *frozen, "seed=5", "agent.warm_start=1")  # which has no effect
+    run = train(tmp_path / "5", trained.run.path, *frozen, "seed=5", "agent.warm_start=1")  # init_from disables it
     assert same(networks(run.checkpoint(0), "actor", "critic"), networks(last, "actor", "critic"))
     run = train(tmp_path, trained.run.path, *frozen, "init_from_what=policy")
     drawn = train(tmp_path, "null", *frozen)

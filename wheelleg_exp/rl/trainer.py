@@ -71,6 +71,8 @@ class Trainer:
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
         env.half = mirrored_half(env, agent)
+        if controller is not None and self.algorithm.actor.is_recurrent:
+            raise ConfigError("a recurrent policy cannot imitate", key="agent.warm_start", expected="0")
         if teacher is not None:
             load_teacher(self.algorithm, teacher)
         if initial is not None:
@@ -93,8 +95,9 @@ class Trainer:
         """
         self.algorithm.train_mode()
         if self.iteration == 0 and self._controller is not None:
-            with self.ranks.agreed(), self._named_errors():
+            with self._named_errors():
                 self._imitate(self._controller)
+            self._controller = None
         if self.ranks.together:
             self.algorithm.broadcast_parameters()
         while self.iteration < until:
@@ -109,27 +112,26 @@ class Trainer:
             yield done
 
     def _imitate(self, controller: Callable[[], torch.Tensor]) -> None:
-        """Teach the policy the controller's actions in ``agent.warm_start`` rollouts.
+        """Teach the policy the controller's actions; afterwards, the environment continues as if nothing had happened.
 
-        The controller acts with the policy's exploration noise, so that the policy also learns to return from states
-        that the controller alone never reaches (Laskey et al., DART, 2017).
+        In the first third of the rollouts, the controller acts, with the policy's exploration noise. Then the policy
+        acts, so that it learns what to do in the states that it reaches itself (Ross, Gordon, Bagnell: DAgger, 2011).
         """
-        actor, ppo = self.algorithm.actor, self.algorithm
-        if actor.is_recurrent:
-            raise ConfigError("a recurrent policy cannot imitate", key="agent.warm_start", expected="0")
+        actor, ppo, env = self.algorithm.actor, self.algorithm, self.env.env
+        before, observers, env.observers = env.state_dict(), env.observers, []
         optimizer = torch.optim.Adam(actor.parameters(), 1e-3)
         observations, seen, wanted = self.env.get_observations().to(self.device), [], []
         for rollout in range(self._warm_start):
             for _ in range(self.num_steps):
-                target = controller().to(self.device)
-                wanted.append(target if self.env.half is None else self.env.half.actions(target))
-                seen.append(observations)
+                target = self.env.policy_actions(controller()).to(self.device)
+                seen.append(observations.select(*actor.obs_groups))
+                wanted.append(target)
                 with torch.no_grad():
                     actor.update_normalization(observations)
                     actions = actor(observations, stochastic_output=True)
-                if 3 * rollout < self._warm_start:
-                    actions = wanted[-1] + actions - actor.output_mean
-                observations = self.env.step(actions.to(self.env.env.device))[0].to(self.device)
+                    if 3 * rollout < self._warm_start:
+                        actions = target + actions - actor.output_mean
+                    observations = self.env.step(actions.to(env.device))[0].to(self.device)
             samples, targets = torch.cat(seen), torch.cat(wanted)
             size = self.num_steps * self.env.num_envs // ppo.num_mini_batches
             for _ in range(2 * ppo.num_learning_epochs * ppo.num_mini_batches):
@@ -138,6 +140,8 @@ class Trainer:
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
+        env.load_state_dict(before)
+        env.observers = observers
 
     def _collect(self) -> None:
         with self.ranks.agreed(), self._named_errors(), no_global_draws("numpy", "python"):

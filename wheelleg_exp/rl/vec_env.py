@@ -59,6 +59,12 @@ class RslRlVecEnv(VecEnv):
         time_limits = {} if self._is_finite else {"time_outs": time_outs}
         return self._as_tensordict(observations), rewards, dones, {**extras, **time_limits}
 
+    def policy_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Return the policy's actions (N, A) for which ``step`` applies the raw actions ``actions`` (N, A)."""
+        if self.half is not None:
+            actions = self.half.actions(actions)
+        return actions if self._clip_actions is None else actions.clamp(-self._clip_actions, self._clip_actions)
+
     def _as_tensordict(self, observations: Observations) -> TensorDict:
         found = TensorDict(dict(observations), batch_size=[self.num_envs])
         return found if self.half is None else self.half.observations(found)

@@ -113,6 +113,8 @@ def write_isaac_lab_run(
         notes.insert(0, f"write these observations in Isaac Lab before you run the policy: {', '.join(lost)}")
     if role == "actor":
         actor, critic = agent["actor"], agent["critic"]
+        if agent.get("warm_start"):
+            notes.append("agent.warm_start: Isaac Lab starts from random networks, and needs more iterations")
         noise = actor.get("distribution_cfg") or {}
         network = {"class_name": "ActorCritic", "activation": actor["activation"]}
         network |= {"init_noise_std": noise.get("init_std", 1.0), "noise_std_type": noise.get("std_type", "scalar")}

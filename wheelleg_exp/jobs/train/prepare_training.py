@@ -166,6 +166,10 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     teacher = checkpoint.load(path) if isinstance(agent, DistillationAgent) and path.is_file() else None
     initial = saved_initial(experiment.init_from, recipe.asset)
     imitates = isinstance(agent, Agent) and agent.warm_start > 0 and initial is None
-    controller = Reference(env) if imitates else None
+    try:
+        controller = Reference(env) if imitates else None
+    except ConfigError as error:
+        error.expected = f"{error.expected}; or agent.warm_start=0"
+        raise
     trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks, controller)
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
