@@ -21,7 +21,7 @@ from wheelleg_exp.recording.reading.recording_digest import entity_digests
 PROJECT = Path(__file__).parent / "planted_project"
 ITERATIONS = 4
 SMALL = ["task=stand", "env.num_envs=32", "env.episode_length_s=0.5", f"agent.max_iterations={ITERATIONS}"]
-SMALL += ["agent.save_interval=1", "recording.interval=2", "recording.steps=30"]
+SMALL += ["agent.save_interval=1", "agent.warm_start=1", "recording.interval=2", "recording.steps=30"]
 
 
 class Refused(Exception):

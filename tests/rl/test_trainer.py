@@ -130,11 +130,19 @@ def test_returns_are_those_of_the_environment(make_trainer):
 def test_a_warm_start_teaches_the_policy_the_controllers_actions(make_trainer, agent, learnt):
     actions = torch.tensor([0.3, -0.2, 0.1, 0.4, -0.5, 0.6]).expand(16, 6)
     trainer = make_trainer(f"agent={agent}", "agent.warm_start=15", controller=lambda: actions)
+    before = copy.deepcopy(trainer.env.env.state_dict())
     finish(trainer, 0)
     assert trainer.iteration == 0
+    torch.testing.assert_close(trainer.env.env.state_dict(), before, rtol=0.0, atol=0.0)
     with torch.no_grad():
         found = trainer.algorithm.actor(trainer.env.get_observations())
     assert (found - torch.tensor(learnt)).abs().max() < 0.1
+
+
+def test_a_recurrent_policy_cannot_imitate(make_trainer):
+    words = ("actor.class_name=RNNModel", "+agent.actor.rnn_type=lstm", "+agent.actor.rnn_hidden_dim=8")
+    with pytest.raises(ConfigError, match=r"agent\.warm_start"):
+        make_trainer(f"agent.{words[0]}", *words[1:], "+agent.actor.rnn_num_layers=1", controller=lambda: None)
 
 
 def test_a_checkpoint_of_other_networks_does_not_fit(trainer, tiny_config, tmp_path):

@@ -33,7 +33,7 @@ FIELDS: dict[str, tuple[str, object]] = {
 # ``KEYS`` describes config keys that no docstring describes; ``*`` matches one part of a dotted key.
 KEYS: dict[str, str] = {
     "seed": "seed of every random stream of the run",
-    "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: random networks",
+    "init_from": "run (path, id, `latest`) or checkpoint with the initial networks; null: new networks",
     "init_from_what": "what is loaded: networks (policy and critic), policy, or learning (also the optimiser)",
     "task": "what is trained",
     "task.name": "name of the task; its run directories are in <run.root>/<name>",
