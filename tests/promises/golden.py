@@ -402,7 +402,8 @@ def _earlier(task: str) -> list[str]:
     """Return the settings with which the trainings were recorded, where the defaults differ now."""
     agent = "ppo_mirror_loss" if task in ("walk", "velocity") else "ppo"
     words = ["env.sim.cone=pyramidal", "env.sim.impratio=1.0", "env.commands.base_velocity.max_travel_error=0.1"]
-    return [f"agent={agent}", *words]
+    warm = ["agent.warm_start=0", "agent.average_iterations=80"] if task == "walk" else []
+    return [f"agent={agent}", *words, *warm]
 
 
 def training(only: str | None = None) -> dict[str, Any]:
