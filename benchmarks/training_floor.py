@@ -4,9 +4,10 @@
 
 The floor of an iteration is the time of its physics steps alone, of one forward pass of both networks per control step,
 and of the gradient steps of an update: forward, backward, and Adam, on random samples. With a mirror loss, an update
-passes each sample through the policy twice. In every tenth iteration, the physics steps are repeated from the
-training's own states, because robots that fall or drive need more solver iterations than robots at rest. The time of
-the networks is measured before and after the training. Each time is the median of five.
+passes each sample through the policy twice. A warm start counts as rollouts without updates. In every tenth iteration,
+the physics steps are repeated from the training's own states, because robots that fall or drive need more solver
+iterations than robots at rest. The time of the networks is measured before and after the training. Each time is the
+median of five.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from rsl_rl.modules import MLP  # noqa: E402
 
 from wheelleg_exp.build import build_env  # noqa: E402
 from wheelleg_exp.config.composing.compose import compose  # noqa: E402
+from wheelleg_exp.evaluation.lqr_balancer import Reference  # noqa: E402
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul  # noqa: E402
 from wheelleg_exp.rl.options import read_agent  # noqa: E402
 from wheelleg_exp.rl.trainer import Trainer  # noqa: E402
@@ -50,7 +52,8 @@ def main() -> None:
     torch.set_num_threads(config["agent"]["torch_threads"])
     built = build_env(config)
     env = RslRlVecEnv(built, agent.clip_actions)
-    trainer = Trainer(env, agent, config["seed"])
+    warm_start = config["agent"]["warm_start"]
+    trainer = Trainer(env, agent, config["seed"], controller=Reference(built) if warm_start else None)
     count, steps, settings = env.num_envs, agent.num_steps_per_env, config["agent"]["algorithm"]
     samples = count * steps // settings["num_mini_batches"]
     updates = settings["num_learning_epochs"] * settings["num_mini_batches"]
@@ -69,7 +72,7 @@ def main() -> None:
     step = engine.step
 
     def record_and_step() -> None:
-        if trainer.iteration % 10 == 0:
+        if trainer.iteration % 10 == 5:  # not 0, which is also the iteration of a warm start
             visited.append(engine.state.clone())
         step()
 
@@ -109,7 +112,9 @@ def main() -> None:
             visited.clear()
         start = time.perf_counter()
     networks = [(a + b) / 2 for a, b in zip(before, floor(), strict=True)]
-    parts = [agent.max_iterations * part for part in (statistics.mean(repeated), *networks)]
+    rollouts = agent.max_iterations + warm_start
+    counts = (rollouts, rollouts, agent.max_iterations)
+    parts = [n * part for n, part in zip(counts, (statistics.mean(repeated), *networks), strict=True)]
     names = ("physics", "acting", "update")
     print(", ".join(f"{name} {part:.1f} s" for name, part in zip(names, parts, strict=True)))
     print(f"floor {sum(parts):.1f} s, training {took:.1f} s: {took / sum(parts):.2f} times the floor")
