@@ -157,7 +157,8 @@ def randomize_rigid_body_mass(
     sim.expand("body_mass")[ids, bodies] = mass
     if recompute_inertia:
         inertia = sim.constant("body_inertia")[bodies]
-        sim.expand("body_inertia")[ids, bodies] = inertia * (mass / default).unsqueeze(2)
+        factor = torch.where(default > 0, mass / default, 1.0)  # a link without mass has no inertia either
+        sim.expand("body_inertia")[ids, bodies] = inertia * factor.unsqueeze(2)
     sim.set_const()
     robot.mark_written(chosen)
 
