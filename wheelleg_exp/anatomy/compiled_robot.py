@@ -140,8 +140,8 @@ def at_default(model: mujoco.MjModel, robot: Robot) -> mujoco.MjData:
     """Return MuJoCo's data of a robot at the start of an episode, moved inside its joint limits and couplings."""
     data = mujoco.MjData(model)
     if robot.floating:
-        data.qpos[0:3] = robot.default_root_pos.numpy()
-        data.qpos[3:7] = robot.default_root_quat.numpy()
+        data.qpos[0:3] = robot.default_root_pos.cpu().numpy()
+        data.qpos[3:7] = robot.default_root_quat.cpu().numpy()
     for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
         joint = model.joint(name)
         inside = min(max(value, joint.range[0]), joint.range[1]) if model.jnt_limited[joint.id] else value
