@@ -83,7 +83,7 @@ REFUSED = {
     "recording.env_ids=[600]": "from 0 to 511",
     "recording.env_ids=[1,1]": "each once",
     "agent.obs_groups.actor=[policy,policy]": "names a group twice",
-    "check.silence.spawn_height=": "has no reason",
+    "check.silence.noop_restitution=": "has no reason",
 }
 
 

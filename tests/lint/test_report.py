@@ -35,7 +35,7 @@ def physics(capsys, *words):
 
 
 def test_without_its_silences_the_stock_task_has_the_findings_of_an_expert(capsys):
-    status, report = physics(capsys, "robot=article", "task=stand", "~check")
+    status, report = physics(capsys, "robot=article", "task=stand", "~check", "~env.robot.silence")
     assert status == 1
     found = {(finding["rule"], finding["key"]): finding for finding in report["findings"]}
     assert set(found) >= AT_LEAST
@@ -58,10 +58,10 @@ def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_ef
     wrong = "agent.algorithm.num_mini_batches=7"
     status, report = physics(capsys, wrong, "++check.silence.ppo_batch=rest is dropped")
     assert (status, [f["reason"] for f in report["silenced"] if f["rule"] == "ppo_batch"]) == (0, ["rest is dropped"])
-    status, report = physics(capsys, "check.silence.spawn_height=null")  # A parent silences the rule.
+    status, report = physics(capsys, "env.robot.silence.spawn_height=null")  # The robot silences the rule.
     assert (status, {f["rule"] for f in report["findings"]}) == (1, {"spawn_height"})
-    assert main(["check", "--physics", "robot=physical"]) == 1
-    assert "check.silence.armature_ratio silences nothing here" in capsys.readouterr().out
+    assert main(["check", "--physics", "~env.curriculum.lin_vel_z_weight"]) == 0
+    assert "check.silence.noop_curriculum silences nothing here" in capsys.readouterr().out
 
 
 def test_mistakes_come_before_the_numbers(capsys):

@@ -22,7 +22,7 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import AssetError
 from wheelleg_exp.lint.physics_check import examine
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.project.create import config_files, create
+from wheelleg_exp.project.create import config_files, create, write
 from wheelleg_exp.project.robot_yaml import leg_gains, names, number, robot_yaml, spawn_height, wheel_gains
 from wheelleg_exp.project.survey import survey
 
@@ -73,8 +73,9 @@ def test_a_robot_without_wheels_gets_a_task_without_them(tmp_path):
     assert found.legs == ["l_hip", "r_hip", "l_axle", "r_axle"]
     # The feet are missing in the list, because they stand on the ground.
     assert found.raised_bodies == ["body", "l_leg", "r_leg"]
-    texts = config_files("mine", found).values()
-    assert not [text for text in texts if re.search("wheel_air|mine_wheels|travel", text)]
+    env = env_of(found, tmp_path)
+    named = [*env["actions"], *env["rewards"], *env["observations"]["policy"]["terms"]]
+    assert ("leg_pos" in named, [name for name in named if re.search("wheel|travel", name)]) == (True, [])
 
 
 def test_a_robot_whose_legs_cannot_balance_it_leans(two):
@@ -181,10 +182,12 @@ def test_a_robot_that_cannot_roll_makes_no_project_unless_allowed(changes, said,
     assert survey(source, stock_env(), {}, allow_missing=True).legs
 
 
-def test_the_lowest_collider_touches_the_ground(two):
+def test_a_robot_starts_so_high_that_no_tilt_of_a_start_state_puts_a_wheel_into_the_ground(two):
     touching = LEG + RADIUS
     assert two.facts.standing_height == pytest.approx(touching, abs=1e-6)
-    assert 0.0 <= spawn_height(two) - touching < 1.0001e-4
+    half = 0.08  # lateral distance of the hips from the middle in robots.py, m
+    tilt = compose(["task=stand"]).config["env"]["events"]["reset_base"]["pose_range"]["roll"][1]
+    assert 0.0 <= spawn_height(two) - touching - half * tilt < 1.0001e-4
 
 
 def test_a_robot_drawn_along_another_axis_stands_like_the_one_along_x(two, tmp_path):
@@ -268,8 +271,10 @@ def test_wheels_that_cannot_reach_the_ground_are_named(tmp_path):
     assert "only 2 of 3 wheels touch the ground in the default pose, not those of nose_axle" in found.notes
 
 
-def task_of(found):
-    return yaml.safe_load(config_files("mine", found)["task/mine.yaml"])["env"]
+def env_of(found, folder):
+    texts = {"robot/mine.yaml": robot_yaml("mine", "mine/two.urdf", found), **config_files("mine", found)}
+    write(folder / "made" / "configs", texts)
+    return compose(["task=mine"], config_dirs=[folder / "made" / "configs"]).config["env"]
 
 
 @pytest.mark.parametrize("mass", [0, 1e-6], ids=["none", "next to none"])
@@ -280,7 +285,8 @@ def test_a_root_link_without_mass_on_the_ground_changes_nothing(mass, kneed, tmp
     foot = foot.format(inertial if mass else "")
     found, (_, expected) = surveyed(edited(knees(tmp_path), ('<link name="body">', foot))), kneed
     assert found.facts.standing_height == pytest.approx(expected.facts.standing_height, abs=5e-4)
-    reward, plain = (task_of(robot)["rewards"]["base_height"] for robot in (found, expected))
+    folders = (tmp_path / "one", tmp_path / "other")
+    reward, plain = (env_of(r, f)["rewards"]["base_height"] for r, f in zip((found, expected), folders, strict=True))
     # The height is the distance from axle to hip plus the wheel radius.
     robot = yaml.safe_load(robot_yaml("mine", "mine/knees.urdf", found))
     assert robot["standing_height"] == pytest.approx(0.3815, abs=1e-3)
@@ -318,8 +324,8 @@ def test_gains_of_drives_in_the_file_are_used():
         for key in ("stiffness", "damping", "effort_limit", "velocity_limit"):
             assert text["actuators"][group][key] == pytest.approx(stock["actuators"][group][key]), key
     assert text["init_state"]["joint_pos"] == {"l01": 0.9599, "r01": 0.9599, "l02": -1.885, "r02": -1.885}
-    # docs/robot.md states a standing height of 70 mm.
-    assert text["init_state"]["pos"][2] == pytest.approx(0.070, abs=2e-4)
+    # docs/robot.md states a standing height of 70 mm, and a distance of 112 mm between the wheels.
+    assert text["init_state"]["pos"][2] == pytest.approx(0.070 + 0.03 * 0.056, abs=2e-4)
 
 
 @pytest.mark.parametrize(("without", "said"), [("joint", "no joints"), ("collision", "no shape of the robot collides")])
@@ -370,15 +376,12 @@ def test_the_stock_robots_file_makes_a_project_that_passes_its_own_check(tmp_pat
     assert examined(made).open == []
     assert "9.25 rad/s" in made.accepted["drive_bandwidth"]
     env = compose(["task=mine"], config_dirs=[made.path / "configs"]).config["env"]
-    command, reward = env["commands"]["base_velocity"], env["rewards"]["travel_error"]
-    assert command["_target_"].endswith(".UniformVelocityTravelCommand")
-    assert command["max_travel_error"] >= 0.3
-    assert all(list(env["observations"][group]["terms"]).count("mine_travel") == 1 for group in ("policy", "critic"))
-    # Both errors cost 1 per second. docs/robot.md states a standing height of 70 mm.
-    weight = env["curriculum"]["mine_travel"]["weight"]
-    assert weight * (0.3 * 0.070) ** 2 == pytest.approx(-1.0, rel=0.05)
-    assert weight * (reward["heading_length"] * 0.05) ** 2 == pytest.approx(-1.0, rel=0.1)  # of two digits
-    assert reward["weight"] == pytest.approx(0.1 * weight, rel=0.05)
+    stock = compose(["task=stand"]).config["env"]
+    # The new robot is the stock robot, so its numbers are those of the stock task.
+    weights = {name: node["weight"] for name, node in env["rewards"].items() if name != "mine_upright"}
+    assert weights == pytest.approx({name: node["weight"] for name, node in stock["rewards"].items()}, rel=5e-3)
+    limit = stock["commands"]["base_velocity"]["max_travel_error"]
+    assert env["commands"]["base_velocity"]["max_travel_error"] == pytest.approx(limit, rel=2e-3)
 
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
@@ -441,7 +444,7 @@ def test_a_finding_that_only_the_file_can_solve_is_accepted_by_name(tmp_path):
     assert report.open == []
     assert "l_hip" in report.reasons["joint_limits"]
     # The rule also checks user-defined numbers.
-    assert "action_scale" in {finding.rule for finding in examined(made, "env.actions.mine_legs.scale=50").open}
+    assert "action_scale" in {finding.rule for finding in examined(made, "env.robot.action_scales.legs=50").open}
 
 
 def test_an_effort_that_cannot_hold_the_weight_is_not_used(tmp_path):
@@ -461,9 +464,3 @@ def test_joints_that_do_not_belong_to_a_leg_are_held_and_no_action_moves_them(tm
     assert (found.legs, found.held) == (["l_hip", "r_hip"], ["turret_yaw"])
     assert yaml.safe_load(robot_yaml("mine", "mine/two.urdf", found))["actuators"]["held"]["effort_limit"] == 3.0
     assert not [file for file, text in config_files("mine", found).items() if "turret_yaw" in text]
-
-
-def test_no_episode_starts_with_a_wheel_in_the_ground(two):
-    roll = task_of(two)["events"]["reset_base"]["pose_range"]["roll"][1]
-    half = 0.08  # lateral distance of the hips from the middle in robots.py, m
-    assert half * roll <= 0.003 * two.anatomy.size < half * (roll + 1e-3)

@@ -122,7 +122,8 @@ def slots(tree: Mapping[str, object], keys: Keys) -> dict[str, Slot]:
 
 def is_settable(tree: Mapping[str, object], keys: Keys) -> bool:
     """Return whether code reads a key by its name, such as a parameter; False for the name of a term."""
-    names = schema.PHYSICS_RULES if keys[:-1] == ("check", "silence") else slots(tree, keys[:-1])
+    of_rules = keys[:-1] in (("check", "silence"), ("env", "robot", "silence"))
+    names = schema.PHYSICS_RULES if of_rules else slots(tree, keys[:-1])
     return dotted(keys) in KEYS or keys[-1] in names
 
 

@@ -155,7 +155,7 @@ def _write_project(draft: Path, robot: str, mapping: EnvMapping, agent: Tree, au
         task["seed"] = mapping.seed
     asset = {"profile": name, "asset": f"{name}/{robot}"}
     texts = {f"configs/robot/{name}.yaml": _ROBOT + dump_yaml(asset | mapping.robot)}
-    common = project_files(name, asset["asset"], [])
+    common = project_files(name, asset["asset"])
     texts |= {file: common[file] for file in ("pyproject.toml", ".gitignore", f"{name}/__init__.py")}
     texts |= {f"{name}/{module}.py": text for module, text in author.modules().items()}
     write(draft, texts)

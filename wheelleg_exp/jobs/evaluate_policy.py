@@ -14,6 +14,7 @@ from wheelleg_exp.asset.conversion_cache import source_digest
 from wheelleg_exp.build import with_robot_file
 from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose, placing, require_read
+from wheelleg_exp.config.composing.sized_values import robot_sizes
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.env import ManagerBasedRLEnv
@@ -63,8 +64,8 @@ def evaluation_settings(
     """
     mine = [text for text in overrides if _is_of_protocol(text)]
     others = run_overrides(overrides)
-    composed = compose(mine, primary="evaluate", config_dirs=config_dirs)
     env, agent = run_config.load_params(run)
+    composed = compose([*robot_sizes(env), *mine], primary="evaluate", config_dirs=config_dirs)
     recorded = {"env": run_config.on_reference_engine(run_config.upgrade_env_params(env)), "agent": agent}
     tree = {**apply_overrides(recorded, others), **{key: composed.config[key] for key in ("seed", "protocol")}}
     with composed.placing(), placing(others):

@@ -17,6 +17,7 @@ from wheelleg_exp.build import build_env
 from wheelleg_exp.config.checking.check_terms import require_recorded
 from wheelleg_exp.config.checking.find_mistakes import check_tree
 from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose, placing, require_read
+from wheelleg_exp.config.composing.sized_values import robot_sizes
 from wheelleg_exp.config.config_errors import raise_all
 from wheelleg_exp.config.schema import Experiment, PlayRoot
 from wheelleg_exp.config.tree_lookup import at, section_at
@@ -89,7 +90,8 @@ def prepare_policy(
     """Load a policy (default: the last checkpoint), and build its environment; ``change`` modifies the config."""
     checkpoint = run.latest_checkpoint() if checkpoint is None else checkpoint
     env_params, agent = run_config.load_params(run)
-    own = {key: compose(primary="play").config[key] for key in ("seed", "play", "drive", "recording")}
+    composed = compose(robot_sizes(env_params), primary="play").config
+    own = {key: composed[key] for key in ("seed", "play", "drive", "recording")}
     recorded = {**own, "env": run_config.on_reference_engine(run_config.upgrade_env_params(env_params)), "agent": agent}
     tree = apply_overrides(recorded, overrides)
     with placing(overrides):

@@ -46,7 +46,7 @@ class PhysicsReport:
     def unused(self) -> list[str]:
         """The lint rules in ``check.silence`` that report no finding, so that silencing them has no effect."""
         found = {finding.rule for finding in self.findings}
-        return [name for name in self.reasons if name not in found]
+        return [name for name in self.reasons if name not in found and name not in self.case.env.robot.silence]
 
     def rewards_table(self) -> list[tuple[str, str, str, str, str, str]]:
         """Return each reward: name, weight, tolerance, per step, per episode, share of a perfect robot's reward."""
@@ -97,8 +97,9 @@ def examine(composed: Composed) -> PhysicsReport:
         case = Case(config, facts, robot)
     found = [finding for rule in RULES.values() for finding in rule(case)]
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
-    silences = config.check.silence if config.check is not None else {}
-    return PhysicsReport(case, tuple(placed), {name: why for name, why in silences.items() if why is not None})
+    silences = [config.env.robot.silence, config.check.silence if config.check is not None else {}]
+    reasons = {name: why for given in silences for name, why in given.items() if why is not None}
+    return PhysicsReport(case, tuple(placed), reasons)
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from wheelleg_exp.anatomy.compiled_robot import name_expression
 from wheelleg_exp.asset.robot_description import Dof
-from wheelleg_exp.lint.rule import at_least
+from wheelleg_exp.lint.rule import at_least, at_most
 from wheelleg_exp.project.survey import Survey
 
 WIDTH = 110
@@ -32,6 +32,11 @@ _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # A wheel's default damping gives its speed a time constant of 0.1 s.
 _TRACTION = 1.5  # The default effort limit of a wheel is 1.5 times the torque at which the wheel slips.
 _GROUND_SPEED = 2.0  # m/s
+_LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
+_WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
+_STEPS_PER_FALL = 5.0  # control steps in the time constant with which the robot falls
+_SLOWEST = 4  # physics steps per control step at most: 50 Hz control
+_TILT = 0.03  # The start states of stock tasks tilt the robot by at most 0.03 rad.
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 
 
@@ -213,12 +218,13 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
         outside = f"; 0 is outside the limits of {at_zero}" if at_zero else ""
         kept = f"  # rad (m for a slide){note}; other joints are 0{outside}"
     pairs = [pair for pair in robot.anatomy.mirrored if pair.left in robot.legs and pair.right in robot.legs]
+    alike = [pair for pair in pairs if pair.sign > 0]
     # Stock terms refer to these keys, such as ``${env.robot.joint_sets.legs}``.
     joints = {
         "legs": robot.legs,
         "wheels": robot.wheels,
-        "left_legs": [pair.left for pair in pairs],
-        "right_legs": [pair.right for pair in pairs],
+        "left_legs": [pair.left for pair in alike],
+        "right_legs": [pair.right for pair in alike],
         "leg_actions": robot.legs,
         "wheel_actions": robot.wheels,
     }
@@ -231,13 +237,14 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
         groups += _group("held", robot.held, leg_gains(robot, robot.held))
     if robot.wheels:
         groups += _group("wheels", robot.wheels, wheel_gains(robot))
+    scales = ", ".join(f"{role}: {scale}" for role, scale in _action_scales(robot).items())
     return f"""# @package env.robot
 # {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_counted(len(robot.wheels), "wheel")}{size}{held}.
 profile: {name}    # name in results
 asset: {word(asset)}    # below this project's assets/
 base: floating                     # auto | floating | fixed
 init_state:
-  pos: [0.0, 0.0, {spawn_height(robot)!r}]    # root link, m: the lowest collider of the default pose touches the ground
+  pos: [0.0, 0.0, {spawn_height(robot)!r}]    # root link, m: a tilted start touches nothing
   rot: [{rotation}]    # (w, x, y, z){as_in_file}
 {kept}
   joint_pos:{mapping(moved, 4)}
@@ -247,15 +254,76 @@ soft_joint_pos_limit_factor: 0.95  # soft limits, as share of the joint range
 friction_source: static            # static | dynamic: source of MuJoCo's single coefficient
 standing_height: {number(facts.standing_height)}    # m, of the root link in the default pose
 wheel_radius: {number(robot.facts.wheel_radius) if robot.wheels else "null"}    # m
-joint_sets:    # joints by role, to which terms refer; actions in this order
+size: {number(robot.size)}    # m; height of the root link or of the centre of mass, whichever is larger
+mass: {number(facts.mass)}    # kg
+natural_speed: {number(_natural_speed(robot))}    # m/s; sqrt(gravity · size), at most the wheels' top speed
+leg_reach: {number(_leg_reach(robot), 3) if robot.legs else "null"}    # rad; what drives and limits of the legs allow
+physics_dt: {_STEP}    # s
+decimation: {_decimation(robot)}    # physics steps per control step: {1 / (_STEP * _decimation(robot)):.0f} Hz control
+action_scales: {{{scales}}}    # rad and rad/s per unit of action
+{_joint_pairs(robot)}joint_sets:    # joints by role, to which terms refer; left_legs, right_legs: pairs that turn alike
 {_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
 {_named_lists(bodies)}{_frame(robot)}{_self_collisions(robot)}actuators:
 {groups}"""
 
 
 def spawn_height(robot: Survey) -> float:
-    """Return the height of the root link at which the lowest collider touches the ground, m, rounded up."""
-    return round(math.ceil(robot.facts.standing_height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
+    """Return a height of the root link, m, at which the robot touches nothing at the largest tilt of a start state."""
+    anatomy = robot.anatomy
+    arms = [anatomy.size / 2]  # Without wheels, assume that each foot is half of the robot's size from its middle.
+    if anatomy.forward is not None:
+        along = [sum(a * b for a, b in zip(wheel.contact, anatomy.forward, strict=True)) for wheel in anatomy.standing]
+        arms = [anatomy.support_width / 2, max(map(abs, along), default=0.0)]
+    height = robot.facts.standing_height + _TILT * sum(arms)
+    return round(math.ceil(height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
+
+
+def _natural_speed(robot: Survey) -> float:
+    top = min((speed for speed in wheel_gains(robot).velocity.values()), default=math.inf) * robot.facts.wheel_radius
+    return min(math.sqrt(robot.facts.gravity * robot.size), top or math.inf)
+
+
+def _decimation(robot: Survey) -> int:
+    balance = robot.facts.balance
+    steps = 1.0 / (_STEPS_PER_FALL * balance.pole * _STEP) if balance is not None else _SLOWEST
+    return max(1, min(_SLOWEST, int(steps)))
+
+
+def _action_scales(robot: Survey) -> dict[str, float]:
+    scales = {"legs": _leg_scale(robot)} if robot.legs else {}
+    return scales | ({"wheels": at_most(_wheel_scale(robot), 2)} if robot.wheels else {})
+
+
+def _wheel_scale(robot: Survey) -> float:
+    """Return the wheel speed (rad/s) for an action of 1, which needs 25 % of the effort limit at standstill."""
+    gains = wheel_gains(robot)
+    wanted = {name: _WHEEL_EFFORT * gains.effort[name] / gains.damping[name] for name in gains.velocity}
+    return min(min(max(wanted[name], 0.1 * top), top) for name, top in gains.velocity.items())
+
+
+def _leg_scale(robot: Survey) -> float:
+    """Return the leg rotation for an action of 1, rad, within the torque and joint limits if possible."""
+    smallest, largest = _LEG_SCALE
+    reach = _leg_reach(robot)
+    return min(largest, max(smallest, math.floor(100 * reach) / 100 if reach < largest else largest))
+
+
+def _leg_reach(robot: Survey) -> float:
+    """Return the rotation that the drives and the limits of all leg joints allow around the default pose, rad."""
+    gains, reach = leg_gains(robot), []
+    for name in robot.legs:
+        low, high = robot.dofs[name].range or (-math.inf, math.inf)
+        reach += [robot.positions[name] - low, high - robot.positions[name], gains.effort[name] / gains.stiffness[name]]
+    return max(min(reach), _LEG_SCALE[0])
+
+
+def _joint_pairs(robot: Survey) -> str:
+    note = "joints of one side, and their mirror images"
+    if robot.asymmetry is not None:
+        return f"joint_pairs: null    # not symmetric: {robot.asymmetry}\n"
+    pairs = {pair.left: pair.right for pair in robot.anatomy.mirrored if pair.left != pair.right}
+    items = "".join(f"\n  {word(name_expression(left))}: {word(right)}" for left, right in pairs.items())
+    return f"joint_pairs:{items or ' {}'}    # {note}\n"
 
 
 def _named_lists(lists: Mapping[str, Sequence[str]]) -> str:

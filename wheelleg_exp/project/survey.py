@@ -20,6 +20,7 @@ from wheelleg_exp.anatomy.compiled_robot import (
     at_default,
     measure,
     missing_colliders,
+    name_expression,
     provisional_robot,
     with_written_limits,
 )
@@ -28,8 +29,9 @@ from wheelleg_exp.anatomy.stance import Stance, solve_stance
 from wheelleg_exp.asset import Conversion, RobotDescription, convert
 from wheelleg_exp.asset.conversion_report import size_problem
 from wheelleg_exp.asset.robot_description import Dof
-from wheelleg_exp.errors import AssetError, named_as
+from wheelleg_exp.errors import AssetError, ConfigError, named_as
 from wheelleg_exp.managers.scene_manager import SceneManager
+from wheelleg_exp.rl.mirror_pairs import joint_images, joint_signs
 from wheelleg_exp.sim.names import values_by_name
 from wheelleg_exp.sim.robot import Robot
 
@@ -104,7 +106,8 @@ class Survey:
     None if the caller gave positions. ``overlaps`` maps pairs of links to the depth, m, by which they overlap. ``size``
     is the height of the root link or of the centre of mass, m, whichever is larger. ``up`` is the axis of the root link
     that points upwards. ``trunk`` is the heaviest link that is fixed to the root link; ``trunk_mass`` is in kg.
-    ``wheel_bodies`` touch the ground; ``raised_bodies`` have colliders, but do not. ``notes`` warn the user.
+    ``wheel_bodies`` touch the ground; ``raised_bodies`` have colliders, but do not. ``asymmetry`` says why the robot
+    has no mirror images, or is None. ``notes`` warn the user.
     """
 
     dofs: dict[str, Dof]
@@ -124,6 +127,7 @@ class Survey:
     trunk_mass: float
     wheel_bodies: list[str]
     raised_bodies: list[str]
+    asymmetry: str | None
     notes: list[str]
 
     @property
@@ -253,8 +257,19 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, stand
         trunk_mass=float(model.body_mass[trunk]),
         wheel_bodies=[name for name in robot.body_names if name in touching],
         raised_bodies=[n for n, low in lows.items() if math.isfinite(low) and low > least and n not in turned],
+        asymmetry=_asymmetry(model, robot, anatomy),
         notes=_notes(conversion, up_z >= _LEVEL, anatomy, legs, passive, missing_colliders(conversion.report, model)),
     )
+
+
+def _asymmetry(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy) -> str | None:
+    """Return why the policy of a robot cannot learn from mirror images, or None."""
+    pairs = {name_expression(pair.left): pair.right for pair in anatomy.mirrored if pair.left != pair.right}
+    try:
+        joint_signs(model, robot.body_names[0], robot.joint_names, joint_images(robot.joint_names, pairs))
+    except ConfigError as error:
+        return error.message
+    return None
 
 
 def _driven(robot: RobotDescription, dofs: Mapping[str, Dof], anatomy: Anatomy) -> tuple[list[str], list[str]]:

@@ -18,7 +18,7 @@ from wheelleg_exp.machine import require_memory
 from wheelleg_exp.packages import make_classes_importable
 from wheelleg_exp.rl.options import Agent, Learning, SymmetryOptions, require_agent
 from wheelleg_exp.rl.ranks import ALONE, Ranks
-from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, replace_mirror_loss
+from wheelleg_exp.rl.symmetry import Mirror, MirroredHalf, joint_pairs, replace_mirror_loss
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.terms.config_sections import plain_section
 from wheelleg_exp.user_exceptions import ending_as, in_words
@@ -51,11 +51,13 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     require_agent(agent, env.num_envs)
     if torch.device(agent.device).type == "cpu":
         _require_memory(env, observations, agent)
-    options = agent.symmetry if isinstance(agent, Agent) else None
+    options = symmetry_of(env, agent)
     groups = [] if options is None else _seen(agent, observations, options)
     env.mirror = None if options is None else Mirror(env.env, options, groups, agent.device)
     # Copy the options, because rsl_rl changes them. Redirect stdout, because rsl_rl prints the networks.
     config = copy.deepcopy({key: value for key, value in plain_section(agent).items() if key not in OWN_KEYS})
+    if isinstance(agent, Agent) and agent.symmetry is not None and options is None:
+        config["algorithm"].pop("symmetry_cfg", None)
     of_rank = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.size}
     config["multi_gpu"] = of_rank if ranks.together else None
     make_classes_importable(config)
@@ -70,9 +72,15 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     return algorithm
 
 
+def symmetry_of(env: RslRlVecEnv, agent: Learning) -> SymmetryOptions | None:
+    """Return ``agent.symmetry``, or None for a robot that is not symmetric, because it has no pairs of joints."""
+    options = agent.symmetry if isinstance(agent, Agent) else None
+    return options if options is not None and joint_pairs(env.env, options) else None
+
+
 def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:
     """Return a ``MirroredHalf`` if ``agent.symmetry.mirrored_envs`` is true, otherwise None."""
-    options = agent.symmetry if isinstance(agent, Agent) else None
+    options = symmetry_of(env, agent)
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:

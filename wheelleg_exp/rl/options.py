@@ -25,7 +25,8 @@ class SymmetryOptions:
     Attributes:
         joint_pairs: expressions that match the full names of joints on one side, and the names of their images on the
             other side, with `\1` for a matched group. A joint without a pair is its own mirror image. The value null in
-            ``joint_pairs`` removes a pair of joints.
+            ``joint_pairs`` removes a pair of joints. They are added to ``env.robot.joint_pairs``; a robot without any
+            is not symmetric, and its policy learns without mirror images.
         terms: mirror rules of user-defined observations: a rule by the name of the term, or a sign for each number.
         mirrored_envs: whether the policy sees every second environment in a mirror during training (observations and
             actions), so that it learns both sides from the same number of samples.

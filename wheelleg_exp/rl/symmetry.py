@@ -24,6 +24,11 @@ from wheelleg_exp.rl.options import SymmetryOptions
 _MAX_TARGET_ERROR = 1e-4  # rad
 
 
+def joint_pairs(env: ManagerBasedRLEnv, options: SymmetryOptions) -> dict[str, str | None]:
+    """Return the pairs of the robot and those of the agent; without any, the robot is not symmetric."""
+    return {**(env.options.robot.joint_pairs or {}), **options.joint_pairs}
+
+
 class Mirror:
     """Mirrors observations and actions of an environment, so that left and right are exchanged.
 
@@ -43,7 +48,7 @@ class Mirror:
             if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
                 raise mirror_rules.unknown_rule_error(rule, name)
         robot = env.scene.robot
-        self._images = joint_images(robot.joint_names, options.joint_pairs)
+        self._images = joint_images(robot.joint_names, joint_pairs(env, options))
         self._signs = joint_signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
         pose = robot.layout.default_joint_pos.tolist()
         for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):

@@ -77,6 +77,7 @@ class Trainer:
             load_teacher(self.algorithm, teacher)
         if initial is not None:
             load_initial(self.algorithm, initial, env, agent.obs_groups)
+        self.notes: list[str] = []  # what the training does differently from its config, in words
         self._is_declared = False  # whether the first rollout has been checked for undeclared state
         self.log = EpisodeLog(env.num_envs, env.env.device)
         self._means = StepMeans(env.env)

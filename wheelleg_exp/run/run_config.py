@@ -209,6 +209,8 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
     from omegaconf.basecontainer import BaseContainer
     from omegaconf.errors import InterpolationResolutionError
 
+    from wheelleg_exp.config.composing.sized_values import register
+
     resolvers, resolve, steps = dict(BaseContainer._resolvers), Container.resolve_parse_tree, count()
 
     def bounded(self: Container, *arguments: Any, **more: Any) -> object:
@@ -227,6 +229,7 @@ def _restricted_resolvers(variables: Mapping[str, str], absent: Callable[[str], 
     Container.resolve_parse_tree = bounded  # type: ignore[method-assign]
     try:
         OmegaConf.register_new_resolver("oc.env", variable)
+        register()
         yield
     finally:
         BaseContainer._resolvers, Container.resolve_parse_tree = resolvers, resolve  # type: ignore[method-assign]

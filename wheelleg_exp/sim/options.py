@@ -189,6 +189,17 @@ class RobotOptions:
         wheel_radius: radius of the wheels, m.
         joint_sets: joint expressions by role. Terms refer to them, for example by ``${env.robot.joint_sets.legs}``.
         body_sets: body expressions by role, likewise.
+        size: height of the root link or of the centre of mass in the default pose, whichever is larger, m. It, ``mass``
+            (kg), and ``natural_speed`` (m/s) convert the numbers of stock configs to this robot (docs/robots.md).
+        mass: mass of the whole robot, kg.
+        natural_speed: square root of gravity times ``size``, at most the top speed of the wheels, m/s.
+        leg_reach: rotation that the legs' drives and limits allow around the default pose, rad; null without legs.
+        physics_dt: physics time step that suits the drives, s.
+        decimation: physics steps per control step.
+        action_scales: rotation of a leg joint, rad, and speed of a wheel, rad/s, per unit of action, by role.
+        joint_pairs: joints of one side, and the names of their mirror images, as in ``agent.symmetry``; null for a
+            robot that is not symmetric, whose policies learn without mirror images.
+        silence: reasons to accept findings of ``check --physics`` that are properties of the robot, by rule.
     """
 
     profile: str
@@ -206,6 +217,15 @@ class RobotOptions:
     wheel_radius: Positive | None = None
     joint_sets: dict[str, list[str]] = field(default_factory=dict)
     body_sets: dict[str, list[str]] = field(default_factory=dict)
+    size: Positive | None = None
+    mass: Positive | None = None
+    natural_speed: Positive | None = None
+    leg_reach: Positive | None = None
+    physics_dt: Positive | None = None
+    decimation: Count | None = None
+    action_scales: dict[str, float] = field(default_factory=dict)
+    joint_pairs: dict[str, str | None] | None = None
+    silence: dict[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

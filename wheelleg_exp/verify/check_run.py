@@ -45,7 +45,7 @@ def params(subject: Subject) -> Check:
         config = resolved(written, subject.facts.config_variables or {}, lambda _: None)
     except RunDirectoryError as error:
         return Check("params", text, skipped=f"{CONFIG}: {error.message}")
-    drop_removed(config)
+    drop_removed(config, written)
     depends_on_machine = _OUTSIDE.search(read_text(path)) is not None
     failures, notes = [], []
     seeds, task = subject.facts.seeds, config.get("task")

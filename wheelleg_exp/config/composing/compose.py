@@ -101,8 +101,7 @@ class Composed:
     @cached_property
     def raw_tree(self) -> dict[str, object]:
         """The config as nested dicts with unresolved interpolations; callers must not change these dicts."""
-        tree = OmegaConf.to_container(self.raw, resolve=False)
-        return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
+        return plain_tree(self.raw)
 
     @contextmanager
     def placing(self) -> Iterator[None]:
@@ -185,8 +184,14 @@ def compose_leniently(
     lost = [*loader.lost, *(str(error.key) for error in unresolved)]
     if config is None:
         return None, problems, lost
-    removed = drop_removed(config)
+    removed = drop_removed(config, plain_tree(raw))
     return Composed(config, raw, texts, primary, folders, removed, hydra, loader), problems, lost
+
+
+def plain_tree(raw: DictConfig) -> dict[str, object]:
+    """Return a config as nested dicts with unresolved interpolations."""
+    tree = OmegaConf.to_container(raw, resolve=False)
+    return {str(key): node for key, node in tree.items()} if isinstance(tree, dict) else {}
 
 
 def override_texts(overrides: Sequence[str]) -> list[str]:

@@ -34,6 +34,7 @@ from omegaconf._utils import get_yaml_loader
 from wheelleg_exp.config.composing import hydra_errors
 from wheelleg_exp.config.composing.hydra_errors import COMPOSING_ERRORS, NowhereMounted, where_of
 from wheelleg_exp.config.composing.provenance import ConfigFile, Provenance
+from wheelleg_exp.config.composing.sized_values import register
 from wheelleg_exp.config.config_errors import follows_from
 from wheelleg_exp.config.tree_lookup import file_text, yaml_node
 from wheelleg_exp.errors import ConfigError, nearest_name
@@ -255,6 +256,7 @@ class Loader(ConfigLoaderImpl):
     repository_used: Repository
 
     def __init__(self, config_dirs: Sequence[Path] = ()) -> None:
+        register()
         path = create_config_search_path(str(configs_dir()))
         schema = path.get_path().pop()
         for folder in map(config_folder, config_dirs):

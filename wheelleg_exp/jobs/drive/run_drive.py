@@ -14,6 +14,7 @@ import torch
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.sized_values import robot_sizes
 from wheelleg_exp.config.explaining.catalog import options
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure, nearest_name
 from wheelleg_exp.files import write_json, write_yaml
@@ -77,7 +78,8 @@ def drivable(tree: Tree, scene: str = OWN_GROUND, handed_over: Tree | None = Non
             node["ranges"] = {**node["ranges"], "heading": None}
     other = handed_over
     if other is None and scene != OWN_GROUND:
-        other = compose([f"+{_GROUP}={scene}"], primary="play", config_dirs=with_current([])).config["env"]["scene"]
+        words = [*robot_sizes(env), f"+{_GROUP}={scene}"]
+        other = compose(words, primary="play", config_dirs=with_current([])).config["env"]["scene"]
     if other is not None:
         # Use the other scene's ground, and its configs of those sensors that the training also has.
         own = env["scene"]

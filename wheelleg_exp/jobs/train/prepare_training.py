@@ -34,6 +34,7 @@ from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests,
 from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.algorithm import symmetry_of
 from wheelleg_exp.rl.determinism import no_global_draws
 from wheelleg_exp.rl.options import Agent, DistillationAgent, Learning, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
@@ -133,7 +134,7 @@ def prepare_recipe(recipe: Recipe, command: Sequence[str], display: Display, ran
         if not (directory.path / MANIFEST_NAME).exists():  # A run directory without a manifest is useless: remove it.
             shutil.rmtree(directory.path, ignore_errors=True)
         raise
-    for line in [*source_lines(load_source(directory)), *thread_notes(threads)]:
+    for line in [*source_lines(load_source(directory)), *thread_notes(threads), *trainer.notes]:
         display.note(line)
     return Training(recipe, trainer, directory, manifest, RunLock(directory))
 
@@ -166,10 +167,14 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     teacher = checkpoint.load(path) if isinstance(agent, DistillationAgent) and path.is_file() else None
     initial = saved_initial(experiment.init_from, recipe.asset)
     imitates = isinstance(agent, Agent) and agent.warm_start > 0 and initial is None
+    controller, notes = None, []
     try:
         controller = Reference(env) if imitates else None
     except ConfigError as error:
-        error.expected = f"{error.expected}; or agent.warm_start=0"
-        raise
-    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks, controller)
+        notes.append(f"no warm start: {error.message}")
+    adapter = RslRlVecEnv(env, agent.clip_actions)
+    if isinstance(agent, Agent) and agent.symmetry is not None and symmetry_of(adapter, agent) is None:
+        notes.append("the robot has no joint_pairs, so the policy learns without mirror images")
+    trainer = Trainer(adapter, agent, seed, teacher, initial, ranks, controller)
+    trainer.notes = notes
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)

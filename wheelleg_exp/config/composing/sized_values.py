@@ -1,0 +1,84 @@
+"""The interpolation ``${sized:VALUE,UNIT}``: a number of the stock robot, converted for the size of the config's robot.
+
+Robots of different sizes that are similar move alike if lengths, speeds, and masses have equal ratios to the robot's
+own (dynamic similarity; Froude scaling): gravity is the same for all, so a force is a share of the weight.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from wheelleg_exp.config.tree_lookup import section_at
+
+# The keys of ``env.robot`` that give a robot's size, with the stock robot's numbers.
+SIZES = {
+    "size": 0.07,
+    "mass": 0.5,
+    "natural_speed": 0.83,
+    "standing_height": 0.07,
+    "wheel_radius": 0.02,
+    "leg_reach": 0.667,
+}
+# Each unit as powers of these keys. ``height`` and ``wheel`` are lengths in metres that grow with the standing height
+# and with the radius of the wheels; ``leg`` is a rotation of a leg joint in rad.
+_UNITS: Mapping[str, Mapping[str, int]] = {
+    "m": {"size": 1},
+    "s": {"size": 1, "natural_speed": -1},
+    "kg": {"mass": 1},
+    "N": {"mass": 1},
+    "Nm": {"mass": 1, "size": 1},
+    "rad": {},
+    "height": {"standing_height": 1},
+    "wheel": {"wheel_radius": 1},
+    "leg": {"leg_reach": 1},
+}
+_FACTOR = re.compile(r"(?P<unit>[A-Za-z]+)(?P<power>\d?)|1")
+_DIGITS = 6  # significant digits of a converted number
+
+
+def sized(value: object, unit: str, *, _root_: DictConfig) -> object:
+    """Return ``value``, a number or nested lists of numbers in ``unit`` such as ``m/s`` or ``1/m2``, for the robot.
+
+    Raise ValueError for an unknown unit, or a robot without the sizes in ``env.robot``.
+    """
+    factor = 1.0
+    for key, power in _powers(str(unit)).items():
+        size = OmegaConf.select(_root_, f"env.robot.{key}")
+        if not isinstance(size, (int, float)) or size <= 0:
+            raise ValueError(f"env.robot.{key} is {size}, so no number in {unit} can be converted for this robot")
+        factor *= (size / SIZES[key]) ** power
+    return _times(value, factor)
+
+
+def _powers(unit: str) -> dict[str, int]:
+    powers: dict[str, int] = {}
+    for sign, part in zip((1, -1), unit.split("/"), strict=False):
+        for text in part.split("*"):
+            found = _FACTOR.fullmatch(text)
+            if found is None or unit.count("/") > 1 or (found["unit"] or "rad") not in _UNITS:
+                raise ValueError(f"'{unit}' is not a unit of ${{sized:…}}; units are {', '.join(_UNITS)}, as in 1/m2")
+            for key, power in _UNITS[found["unit"] or "rad"].items():
+                powers[key] = powers.get(key, 0) + sign * power * int(found["power"] or 1)
+    return powers
+
+
+def _times(value: object, factor: float) -> object:
+    if isinstance(value, (list, ListConfig)):
+        return ListConfig([_times(item, factor) for item in value])
+    if not isinstance(value, (int, float)):
+        raise ValueError(f"'{value}' is not a number")
+    return value if factor == 1.0 else float(f"{value * factor:.{_DIGITS}g}")
+
+
+def robot_sizes(env: Mapping[str, object]) -> list[str]:
+    """Return overrides for a config without a robot: the sizes of the robot in the config section ``env``."""
+    robot = section_at(env, "robot")
+    return [f"env.robot.{key}={robot[key]!r}" for key in SIZES if robot.get(key) is not None]
+
+
+def register() -> None:
+    """Make ``${sized:…}`` known to OmegaConf."""
+    OmegaConf.register_new_resolver("sized", sized, replace=True)
