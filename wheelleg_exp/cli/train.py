@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import sys
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext, redirect_stdout, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -316,9 +317,12 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
     ``words`` contains the config overrides of a training pipeline and of all trainings that the pipeline starts. A
     ConfigError from ``composed_phases`` lists all config mistakes that can be found before the first training starts.
     """
+    from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.jobs.pipeline.run_pipeline import compose_phases, compose_pipeline
 
     pipeline = compose_pipeline([word for word in words if names_pipeline(word)], config_dirs)
+    if pipeline.results is not None:
+        compose([f"protocol={pipeline.results}"], primary="evaluate", config_dirs=config_dirs)
     overrides = [word for word in words if not names_pipeline(word)]
     with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
         phases = compose_phases(pipeline.phases, overrides, config_dirs)
@@ -338,10 +342,28 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
     return _run_pipeline(args, index, prepare(index, args.overrides, args.command, args.config_dirs), stop)
 
 
+def _present(run: Path, film: Path, protocol: str) -> None:
+    """Evaluate, film, export, and describe the last policy of a pipeline, as the user would with these commands."""
+    _command("evaluate", str(run), f"protocol={protocol}", "--reference")
+    _command("play", str(run), "env.num_envs=1", "env.episode_length_s=20.0")
+    for recording in sorted((run / "play").glob("*/recording.rrd"))[-1:]:
+        _command("inspect", str(recording), "--video", str(film))
+    _command("export", str(run))
+    _command("report", str(run))
+
+
+def _command(*words: str) -> None:
+    from wheelleg_exp.cli.main import main
+
+    print(f"\n$ {shlex.join(['wheelleg', *words])}", file=sys.stderr)
+    with redirect_stdout(sys.stderr):  # The standard output contains only the result of the pipeline.
+        main(words)
+
+
 def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
     from wheelleg_exp.errors import WheellegError
-    from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineRunner
+    from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineRunner, phase_overrides
     from wheelleg_exp.run.run_lock import RunLock
 
     again = f"{tool('wheelleg')} resume {shown(index.folder)}"
@@ -354,6 +376,12 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
             raise
         if status == "interrupted":
             display.note(f"interrupted; resume with: {again}")
+    last, failed = index.run_of(index.phases[-1]), [entry for entry in index.phases if entry["status"] == "failed"]
+    for entry in failed if status == "stopped" else ():
+        words = phase_overrides(entry["name"], pipeline.phases[entry["name"]], index.data["overrides"])
+        _command("doctor", *words, "--all")  # Findings that the config accepts can be the cause, too.
+    if status == "finished" and pipeline.results is not None and last is not None:
+        _present(last, index.folder / "film.mp4", pipeline.results)
     if args.json:
         print_json({"pipeline": str(index.folder), **index.data})
         return {"finished": EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
@@ -366,11 +394,11 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
     print_table(("phase", "iterations", "status", "why", "run"), rows)
     print(f"\npipeline {status}: {shown(index.path)}")
     if status == "finished":
-        if (last := index.run_of(index.phases[-1])) is not None:
-            print(f"next: {tool('wheelleg')} play {shown(last)}")
+        if last is not None:
+            print(f"next: {tool('wheelleg')} play {shown(last)} --drive")
             print(f"      {tool('wheelleg')} evaluate {shown(last)}")
         return EXIT_OK
-    failed = next(phase for phase in index.phases if phase["status"] == "failed")
-    more = 2 * max(int(index.data["config"]["phases"][failed["name"]]["max_iterations"]), int(failed["trained"]))
-    print(f"next: {again} pipeline.phases.{failed['name']}.max_iterations={more}")
+    (first,) = failed[:1]
+    more = 2 * max(int(index.data["config"]["phases"][first["name"]]["max_iterations"]), int(first["trained"]))
+    print(f"next: {again} pipeline.phases.{first['name']}.max_iterations={more}")
     return EXIT_FINDING

@@ -128,8 +128,13 @@ class TermNode:
     params: dict[str, object] = field(default_factory=dict)
 
 
-def drop_removed(config: Mapping[str, object]) -> tuple[str, ...]:
-    """Remove terms that are null, and return their config keys. Add missing config sections as empty mappings."""
+def drop_removed(config: Mapping[str, object], raw: Mapping[str, object] | None = None) -> tuple[str, ...]:
+    """Remove terms that are null, and return their config keys. Add missing config sections as empty mappings.
+
+    ``raw`` is the config with its interpolations. With it, also remove each term whose joints or bodies are those of a
+    role that the robot lacks, such as ``${env.robot.joint_sets.legs}`` of a robot without leg joints.
+    """
+    written = raw.get("env") if raw is not None else None
     env = config.get("env")
     if not isinstance(env, dict):
         return ()
@@ -139,22 +144,37 @@ def drop_removed(config: Mapping[str, object]) -> tuple[str, ...]:
             continue
         if env.get(section) is None:
             env[section] = {}
-        removed += _drop_null(env, section, "env")
+        removed += _drop_null(env, section, "env", written)
     groups = env["observations"]
     if isinstance(groups, dict):
         for name, group in groups.items():
             if isinstance(group, dict) and "terms" in group:
                 group["terms"] = {} if group["terms"] is None else group["terms"]
-                removed += _drop_null(group, "terms", f"env.observations.{name}")
+                removed += _drop_null(group, "terms", f"env.observations.{name}", _below(written, "observations", name))
     return tuple(removed)
 
 
-def _drop_null(parent: dict[str, object], key: str, path: str) -> list[str]:
+def _drop_null(parent: dict[str, object], key: str, path: str, written: object) -> list[str]:
     section = parent[key]
     if not isinstance(section, dict):
         return []
-    parent[key] = {name: node for name, node in section.items() if node is not None}
-    return [f"{path}.{key}.{name}" for name, node in section.items() if node is None]
+    gone = {name for name, node in section.items() if node is None or _lacks_role(node, _below(written, key, name))}
+    parent[key] = {name: node for name, node in section.items() if name not in gone}
+    return [f"{path}.{key}.{name}" for name in section if name in gone]
+
+
+def _below(node: object, *keys: object) -> object:
+    for key in keys:
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node
+
+
+def _lacks_role(node: object, raw: object) -> bool:
+    """Return whether an interpolation in a term gives an empty list of joints or bodies."""
+    if not isinstance(node, Mapping) or not isinstance(raw, Mapping):
+        return False
+    empty = (node.get(kind) == [] and isinstance(raw.get(kind), str) for kind in ("joint_names", "body_names"))
+    return any(empty) or any(_lacks_role(part, raw.get(key)) for key, part in node.items())
 
 
 def split_node(kind: str, path: str, node: object) -> TermNode:

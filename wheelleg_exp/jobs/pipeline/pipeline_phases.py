@@ -55,10 +55,13 @@ class Pipeline:
     Attributes:
         name: the pipeline's name.
         phases: the phases by name, in order; each starts with the policy of the previous one; null removes a phase.
+        results: protocol with which the last policy and the reference controller are evaluated at the end; then the
+            policy is filmed and exported, and a report is written. Null ends the pipeline after the last phase.
     """
 
     name: str
     phases: dict[str, Phase | None]
+    results: str | None = None
 
 
 @dataclass(frozen=True)

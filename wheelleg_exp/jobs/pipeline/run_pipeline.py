@@ -18,6 +18,7 @@ from wheelleg_exp.child_process import Event
 from wheelleg_exp.config.checking.find_mistakes import compose_valid
 from wheelleg_exp.config.composing.compose import Composed, apply_overrides, compose, placing
 from wheelleg_exp.config.composing.compose_sweep import digest_of
+from wheelleg_exp.config.composing.sized_values import robot_sizes
 from wheelleg_exp.config.config_errors import override_of, parts, raise_all
 from wheelleg_exp.config.explaining.config_diff import Change, changes, same
 from wheelleg_exp.config.tree_lookup import section_at
@@ -60,6 +61,7 @@ class PipelineSettings:
 
     tree: dict[str, Any]
     phases: dict[str, Phase]
+    results: str | None = None
     composed: Composed | None = None
 
 
@@ -74,8 +76,8 @@ def read_pipeline(tree: Mapping[str, object]) -> PipelineSettings:
     """Read a pipeline from its recorded config, and check the settings of the pipeline."""
     if errors := section_errors(PRIMARY, tree, Pipeline):
         raise_all(errors)
-    named = read_section(Pipeline, tree, PRIMARY).phases
-    phases = {str(name): phase for name, phase in named.items() if phase is not None}
+    pipeline = read_section(Pipeline, tree, PRIMARY)
+    phases = {str(name): phase for name, phase in pipeline.phases.items() if phase is not None}
     if not phases:
         raise ConfigError("has no phase", key=f"{PRIMARY}.phases", expected="at least one")
     first = next(iter(phases))
@@ -83,7 +85,7 @@ def read_pipeline(tree: Mapping[str, object]) -> PipelineSettings:
     if mistakes:
         raise_all(mistakes)
     nodes = {str(name): node for name, node in section_at(tree, "phases").items() if node is not None}
-    return PipelineSettings({**tree, "phases": nodes}, phases)
+    return PipelineSettings({**tree, "phases": nodes}, phases, pipeline.results)
 
 
 def phase_overrides(name: str, phase: Phase, overrides: Sequence[str]) -> list[str]:
@@ -145,9 +147,10 @@ def _own_mistakes(name: str, phase: Phase, *, is_first: bool) -> Iterator[Config
             yield ConfigError(f"'{text}': the gate sets this itself", key=f"{key}.gate.overrides")
 
 
-def compose_gate(gate: Gate, config_dirs: Sequence[Path] = ()) -> Composed:
-    """Compose the evaluation config of a gate, which is an evaluation that a pipeline phase must pass."""
-    composed = compose([f"protocol={gate.protocol}", *gate.overrides], primary="evaluate", config_dirs=config_dirs)
+def compose_gate(gate: Gate, config_dirs: Sequence[Path] = (), env: Mapping[str, object] | None = None) -> Composed:
+    """Compose the evaluation of a gate, which a pipeline phase must pass, for the robot of a config section ``env``."""
+    words = [*robot_sizes(env or {}), f"protocol={gate.protocol}", *gate.overrides]
+    composed = compose(words, primary="evaluate", config_dirs=config_dirs)
     with composed.placing():
         require_fit("seed", composed.config["seed"], Seed)
     return composed
@@ -232,7 +235,7 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
         if gate is None:
             continue
         try:
-            whole = compose_gate(gate, folders)
+            whole = compose_gate(gate, folders, config["env"])
             with whole.placing():
                 read_section(Protocol, whole.config["protocol"], "protocol")
             env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
