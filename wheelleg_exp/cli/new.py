@@ -39,8 +39,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"  accepted as a property of the robot ({rule}): {text}")
     name = made.path.name
     print(f"next: cd {shown}")
-    print(f"      wheelleg check --physics task={name}")
-    print(f"      wheelleg train task={name}    # learns to stand: some minutes on two cores")
-    print(f"      python -m pytest              # {name} and its test")
+    print(f"      wheelleg train pipeline=first_drive robot={name}    # learns to drive")
+    print("      wheelleg play latest --drive                        # drive it in the browser")
     print("      README.md explains more; nothing has to be installed")
     return EXIT_OK

@@ -189,15 +189,15 @@ class RobotOptions:
         wheel_radius: radius of the wheels, m.
         joint_sets: joint expressions by role. Terms refer to them, for example by ``${env.robot.joint_sets.legs}``.
         body_sets: body expressions by role, likewise.
-        size: height of the root link or of the centre of mass in the default pose, whichever is larger, m. It, ``mass``
-            (kg), and ``natural_speed`` (m/s) convert the numbers of stock configs to this robot (docs/robots.md).
+        size: height of the root link or of the centre of mass in the default pose, whichever is larger, m. The numbers
+            of stock configs grow with it, with the mass, and with the natural speed (docs/robots.md).
         mass: mass of the whole robot, kg.
-        natural_speed: square root of gravity times ``size``, at most the top speed of the wheels, m/s.
+        natural_speed: square root of gravity times size, at most the top speed of the wheels, m/s.
         leg_reach: rotation that the legs' drives and limits allow around the default pose, rad; null without legs.
         physics_dt: physics time step that suits the drives, s.
         decimation: physics steps per control step.
         action_scales: rotation of a leg joint, rad, and speed of a wheel, rad/s, per unit of action, by role.
-        joint_pairs: joints of one side, and the names of their mirror images, as in ``agent.symmetry``; null for a
+        joint_pairs: joints of one side, and the names of their mirror images, as in agent.symmetry; null for a
             robot that is not symmetric, whose policies learn without mirror images.
         silence: reasons to accept findings of ``check --physics`` that are properties of the robot, by rule.
     """

@@ -76,7 +76,7 @@ def _times(value: object, factor: float) -> object:
 def robot_sizes(env: Mapping[str, object]) -> list[str]:
     """Return overrides for a config without a robot: the sizes of the robot in the config section ``env``."""
     robot = section_at(env, "robot")
-    return [f"env.robot.{key}={robot[key]!r}" for key in SIZES if robot.get(key) is not None]
+    return [f"++env.robot.{key}={robot[key]!r}" for key in SIZES if robot.get(key) is not None]
 
 
 def register() -> None:
