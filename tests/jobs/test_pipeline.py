@@ -16,6 +16,7 @@ import yaml
 
 from jobs.small import TINY, refused, succeed, wheelleg
 from wheelleg_exp.child_process import EventPipe
+from wheelleg_exp.cli import train
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.job_display import Display
@@ -269,6 +270,25 @@ def refusal(phases, words: list[str]) -> str:
     with pytest.raises(ConfigError) as told:
         compose_phases(phases, words)
     return str(told.value)
+
+
+def test_the_last_policy_is_evaluated_next_to_the_reference_filmed_exported_and_described(tmp_path, monkeypatch):
+    said: list[tuple[str, ...]] = []
+    monkeypatch.setattr(train, "_command", lambda *words: said.append(words))
+    for name in ("2026-01-01", "2026-01-02"):
+        (tmp_path / "play" / name).mkdir(parents=True)
+        (tmp_path / "play" / name / "recording.rrd").touch()
+    train._present(tmp_path, tmp_path / "film.mp4", "first_drive")
+    assert [words[0] for words in said] == ["evaluate", "play", "inspect", "export", "report"]
+    assert said[0][1:] == (str(tmp_path), "protocol=first_drive", "--reference")
+    assert said[2][1:] == (str(tmp_path / "play" / name / "recording.rrd"), "--video", str(tmp_path / "film.mp4"))
+
+
+def test_the_phases_of_a_first_drive_fit_together_and_its_protocols_have_its_metrics():
+    pipeline, phases = train.composed_phases(["pipeline=first_drive"], [])
+    assert (pipeline.results, list(phases)) == ("first_drive", ["walk", "realism"])
+    with pytest.raises(ConfigError, match="no_such"):
+        train.composed_phases(["pipeline=first_drive", "pipeline.results=no_such"], [])
 
 
 def test_the_phases_of_the_stock_pipeline_fit_together_with_realism():

@@ -144,7 +144,7 @@ def drop_removed(config: Mapping[str, object], raw: Mapping[str, object] | None 
             continue
         if env.get(section) is None:
             env[section] = {}
-        removed += _drop_null(env, section, "env", written)
+        removed += _drop_null(env, section, "env", None if section == "observations" else written)
     groups = env["observations"]
     if isinstance(groups, dict):
         for name, group in groups.items():

@@ -1,0 +1,75 @@
+"""Numbers of the stock robot, converted for a robot that is twice as high, and a thousand times as heavy."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.errors import ConfigError
+
+ROBOT = "# @package env.robot\nprofile: tall\nsize: 0.14\nmass: 500.0\nnatural_speed: {speed}\nwheel_radius: 0.06\n"
+SPEED = 0.83 * math.sqrt(2)  # Froude's number, speed² / (gravity · length), is that of the stock robot.
+
+
+@pytest.fixture
+def env(tmp_path):
+    def of(*words, primary="train"):
+        (tmp_path / "robot").mkdir(exist_ok=True)
+        (tmp_path / "robot" / "tall.yaml").write_text(ROBOT.format(speed=SPEED))
+        return compose(["robot=tall", *words], primary=primary, config_dirs=[tmp_path]).config["env"]
+
+    return of
+
+
+def test_a_similar_robot_gets_the_same_rewards_for_similar_errors(env):
+    rewards, stock = env("task=walk")["rewards"], compose(["task=walk"]).config["env"]["rewards"]
+    second = 0.14 / SPEED / (0.07 / 0.83)  # of the tall robot, in those of the stock robot
+    errors = {
+        "base_height": 2.0**2,  # m²
+        "lin_vel_z": 2.0,  # m²/s²: the speeds of similar robots grow with the square root of their sizes
+        "ang_vel_xy": second**-2,  # 1/s²
+        "wheel_torques": (1000.0 * 2.0) ** 2,  # (N·m)²
+        "travel_error": 2.0**2,  # m²
+    }
+    for name, squared in errors.items():
+        assert rewards[name]["weight"] * squared == pytest.approx(stock[name]["weight"], rel=1e-4), name
+    assert rewards["track_lin_vel_xy"]["std"] == pytest.approx(0.15 * math.sqrt(2), rel=1e-4)
+    assert rewards["wheel_air"]["threshold"] == pytest.approx(300.0)  # N
+    assert second == pytest.approx(math.sqrt(2))
+
+
+def test_the_stock_robot_keeps_its_numbers_exactly():
+    composed = compose(["task=terrain"]).config["env"]
+    assert composed["scene"]["terrain"]["sub_terrains"]["stairs"]["step_height_range"] == [0.001, 0.008]
+    assert composed["commands"]["base_velocity"]["ranges"]["lin_vel_x"] == [-0.4, 0.4]
+
+
+def test_steps_count_in_radii_of_the_wheels_and_cells_fit_into_them(env):
+    terrain = env("task=steps")["scene"]["terrain"]
+    assert terrain["sub_terrains"]["step"]["box_height_range"] == pytest.approx([0.006, 0.078])
+    width, cell = terrain["sub_terrains"]["stairs"]["step_width"], terrain["horizontal_scale"]
+    assert width / cell == pytest.approx(5.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("${sized:1.0,furlong}", r"'furlong' is not a unit of \$\{sized:…\}; units are m, s, kg"),
+        ("${sized:1.0,m/s/s}", "'m/s/s' is not a unit"),
+        ("${sized:abc,m}", "'abc' is not a number"),
+        ("${sized:1.0,leg}", "env.robot.leg_reach is None, so no number in leg can be converted for this robot"),
+    ],
+)
+def test_what_cannot_be_converted_is_reported_at_its_key(value, message):
+    with pytest.raises(ConfigError, match=message) as refused:
+        compose(["env.robot.leg_reach=null", f"env.rewards.alive.weight='{value}'"])
+    assert "env.rewards.alive.weight" in str(refused.value)
+
+
+def test_a_term_for_a_role_that_no_joint_has_is_left_out(env):
+    without = "env.robot.joint_sets.left_legs=[]", "env.robot.joint_sets.right_legs=[]"
+    composed = compose(["task=walk", *without])
+    assert composed.removed_terms == ("env.rewards.leg_joint_symmetry",)
+    assert "leg_joint_symmetry" not in composed.config["env"]["rewards"]
