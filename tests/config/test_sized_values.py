@@ -7,9 +7,10 @@ import math
 import pytest
 
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.config.composing.sized_values import SIZES, robot_sizes
 from wheelleg_exp.errors import ConfigError
 
-ROBOT = "# @package env.robot\nprofile: tall\nsize: 0.14\nmass: 500.0\nnatural_speed: {speed}\nwheel_radius: 0.06\n"
+ROBOT = "# @package env.robot\nprofile: tall\nsize: 0.14\nmass: 500.0\nnatural_speed: {speed}\nwheel_radius: 0.06\nleg_reach: 0.5\n"
 SPEED = 0.83 * math.sqrt(2)  # Froude's number, speed² / (gravity · length), is that of the stock robot.
 
 
@@ -46,6 +47,32 @@ def test_the_stock_robot_keeps_its_numbers_exactly():
     assert composed["commands"]["base_velocity"]["ranges"]["lin_vel_x"] == [-0.4, 0.4]
 
 
+def test_the_sizes_in_the_stock_robots_file_are_those_of_the_stock_numbers():
+    robot = compose(["task=stand"]).config["env"]["robot"]
+    assert {key: robot[key] for key in SIZES} == SIZES
+
+
+def test_a_robot_file_of_an_earlier_version_keeps_all_numbers(tmp_path):
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "old.yaml").write_text("# @package env.robot\nprofile: old\nwheel_radius: 0.1\n")
+    terms = [compose(words, config_dirs=[tmp_path]).config["env"] for words in (["robot=old"], [])]
+    assert terms[0]["scene"] == terms[1]["scene"]
+    assert terms[0]["rewards"] == terms[1]["rewards"]
+    assert robot_sizes(terms[0]) == ["++env.robot.standing_height=0.07"]
+
+
+@pytest.mark.parametrize("size", [None, math.nan, math.inf, -1.0, "${oc.env:HOME}", {"a": 1}])
+def test_only_numbers_of_a_recorded_robot_reach_a_composition(size):
+    assert robot_sizes({"robot": {"size": size, "mass": 1.0, "standing_height": size}}) == []
+
+
+def test_a_strip_ends_before_the_drive_over_it(env):
+    for speed in (SPEED, 0.5):
+        words = [f"++env.robot.{key}={value}" for key, value in {**SIZES, "natural_speed": speed}.items()]
+        strip = compose([*words, "protocol=terrain"], primary="evaluate").config["protocol"]["strip"]
+        assert strip["before"] + strip["length"] < strip["lin_vel_x"] * strip["horizon_s"]
+
+
 def test_steps_count_in_radii_of_the_wheels_and_cells_fit_into_them(env):
     terrain = env("task=steps")["scene"]["terrain"]
     assert terrain["sub_terrains"]["step"]["box_height_range"] == pytest.approx([0.006, 0.078])
@@ -59,7 +86,10 @@ def test_steps_count_in_radii_of_the_wheels_and_cells_fit_into_them(env):
         ("${sized:1.0,furlong}", r"'furlong' is not a unit of \$\{sized:…\}; units are m, s, kg"),
         ("${sized:1.0,m/s/s}", "'m/s/s' is not a unit"),
         ("${sized:abc,m}", "'abc' is not a number"),
-        ("${sized:1.0,leg}", "env.robot.leg_reach is None, so no number in leg can be converted for this robot"),
+        (
+            "${sized:1.0,leg}",
+            "the robot has no leg joints: env.robot.leg_reach is None, but a number in 'leg' needs it",
+        ),
     ],
 )
 def test_what_cannot_be_converted_is_reported_at_its_key(value, message):
@@ -71,5 +101,6 @@ def test_what_cannot_be_converted_is_reported_at_its_key(value, message):
 def test_a_term_for_a_role_that_no_joint_has_is_left_out(env):
     without = "env.robot.joint_sets.left_legs=[]", "env.robot.joint_sets.right_legs=[]"
     composed = compose(["task=walk", *without])
-    assert composed.removed_terms == ("env.rewards.leg_joint_symmetry",)
+    assert composed.terms_without_role == ["env.rewards.leg_joint_symmetry"]
+    assert compose(["task=walk", "env.events.push_robot=null"]).terms_without_role == []
     assert "leg_joint_symmetry" not in composed.config["env"]["rewards"]

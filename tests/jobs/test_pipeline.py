@@ -274,13 +274,13 @@ def refusal(phases, words: list[str]) -> str:
 
 def test_the_last_policy_is_evaluated_next_to_the_reference_filmed_exported_and_described(tmp_path, monkeypatch):
     said: list[tuple[str, ...]] = []
-    monkeypatch.setattr(train, "_command", lambda *words: said.append(words))
+    monkeypatch.setattr(train, "_command", lambda *words: said.append(words) or [words[0]][words[0] != "export" :])
     for name in ("2026-01-01", "2026-01-02"):
         (tmp_path / "play" / name).mkdir(parents=True)
         (tmp_path / "play" / name / "recording.rrd").touch()
-    train._present(tmp_path, tmp_path / "film.mp4", "first_drive")
+    assert train._present(tmp_path, tmp_path / "film.mp4", "first_drive", ["mine"]) == ["export"]  # the only failure
     assert [words[0] for words in said] == ["evaluate", "play", "inspect", "export", "report"]
-    assert said[0][1:] == (str(tmp_path), "protocol=first_drive", "--reference")
+    assert said[0][1:] == (str(tmp_path), "protocol=first_drive", "--reference", "--config-dir", "mine")
     assert said[2][1:] == (str(tmp_path / "play" / name / "recording.rrd"), "--video", str(tmp_path / "film.mp4"))
 
 

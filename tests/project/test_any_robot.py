@@ -47,8 +47,9 @@ def test_a_robot_without_leg_joints_walks_and_a_task_for_legs_says_what_it_lacks
     folders = [create(tmp_path / "stiff", stiff).path / "configs"]
     composed, mistakes = find_mistakes(["task=walk", "robot=stiff"], config_dirs=folders)
     assert (mistakes, list(composed.config["env"]["actions"])) == ([], ["wheel_vel"])
+    assert "env.actions.leg_pos" in composed.terms_without_role
     _, (mistake, *_) = find_mistakes(["task=height", "robot=stiff"], config_dirs=folders)
-    assert "env.robot.leg_reach is None" in str(mistake)
+    assert "the robot has no leg joints" in str(mistake)
 
 
 @pytest.mark.train

@@ -21,6 +21,7 @@ from wheelleg_exp.errors import (
     EXIT_INTERRUPTED,
     EXIT_OK,
     ConfigError,
+    Interrupted,
     SimulationFailure,
     WheellegError,
 )
@@ -342,22 +343,32 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
     return _run_pipeline(args, index, prepare(index, args.overrides, args.command, args.config_dirs), stop)
 
 
-def _present(run: Path, film: Path, protocol: str) -> None:
-    """Evaluate, film, export, and describe the last policy of a pipeline, as the user would with these commands."""
-    _command("evaluate", str(run), f"protocol={protocol}", "--reference")
-    _command("play", str(run), "env.num_envs=1", "env.episode_length_s=20.0")
+def _present(run: Path, film: Path, protocol: str, config_dirs: Sequence[str]) -> list[str]:
+    """Evaluate, film, export, and describe the last policy of a pipeline with the commands that a user would type.
+
+    Return the commands that failed. Raise Interrupted if one was interrupted.
+    """
+    folders = [word for folder in config_dirs for word in ("--config-dir", folder)]
+    failed = [
+        *_command("evaluate", str(run), f"protocol={protocol}", "--reference", *folders),
+        *_command("play", str(run), "env.num_envs=1", "env.episode_length_s=20.0"),
+    ]
     for recording in sorted((run / "play").glob("*/recording.rrd"))[-1:]:
-        _command("inspect", str(recording), "--video", str(film))
-    _command("export", str(run))
-    _command("report", str(run))
+        failed += _command("inspect", str(recording), "--video", str(film))
+    return [*failed, *_command("export", str(run)), *_command("report", str(run))]
 
 
-def _command(*words: str) -> None:
+def _command(*words: str) -> list[str]:
+    """Run a command of this program; return it if it failed, or nothing. Raise Interrupted if it was interrupted."""
     from wheelleg_exp.cli.main import main
 
-    print(f"\n$ {shlex.join(['wheelleg', *words])}", file=sys.stderr)
+    text = shlex.join(["wheelleg", *words])
+    print(f"\n$ {text}", file=sys.stderr)
     with redirect_stdout(sys.stderr):  # The standard output contains only the result of the pipeline.
-        main(words)
+        status = main(words)
+    if status == EXIT_INTERRUPTED:
+        raise Interrupted
+    return [] if status == EXIT_OK else [text]
 
 
 def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: PipelineSettings, stop: StopRequest) -> int:
@@ -379,12 +390,16 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
     last, failed = index.run_of(index.phases[-1]), [entry for entry in index.phases if entry["status"] == "failed"]
     for entry in failed if status == "stopped" else ():
         words = phase_overrides(entry["name"], pipeline.phases[entry["name"]], index.data["overrides"])
-        _command("doctor", *words, "--all")  # Findings that the config accepts can be the cause, too.
+        folders = [word for folder in index.data["config_dirs"] for word in ("--config-dir", folder)]
+        _command("doctor", *words, "--all", *folders)  # Findings that the config accepts can be the cause, too.
+    undone = []
     if status == "finished" and pipeline.results is not None and last is not None:
-        _present(last, index.folder / "film.mp4", pipeline.results)
+        undone = _present(last, index.folder / "film.mp4", pipeline.results, index.data["config_dirs"])
     if args.json:
         print_json({"pipeline": str(index.folder), **index.data})
-        return {"finished": EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
+        return {"finished": EXIT_FINDING if undone else EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(
+            status, EXIT_FINDING
+        )
     if status == "interrupted":
         return EXIT_INTERRUPTED
     rows = []
@@ -397,7 +412,9 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
         if last is not None:
             print(f"next: {tool('wheelleg')} play {shown(last)} --drive")
             print(f"      {tool('wheelleg')} evaluate {shown(last)}")
-        return EXIT_OK
+        for text in undone:
+            print(f"failed: {text}")
+        return EXIT_FINDING if undone else EXIT_OK
     (first,) = failed[:1]
     more = 2 * max(int(index.data["config"]["phases"][first["name"]]["max_iterations"]), int(first["trained"]))
     print(f"next: {again} pipeline.phases.{first['name']}.max_iterations={more}")

@@ -40,6 +40,10 @@ _LEAST_ANSWER = 1e-9  # least change of the speed, m/s, per change of the wheels
 _SETTLE_S = 0.5  # time in which the robot's weight comes to rest on its wheels and legs
 
 
+class NoBalance(ConfigError):
+    """A robot does not stand on one axle of driven wheels, so no controller of this module balances it."""
+
+
 @dataclass(frozen=True)
 class Pendulum:
     """Pendulum model of a robot on one axle of wheels: a rigid body at the default pose.
@@ -99,7 +103,7 @@ def pendulum_of(env: Env) -> tuple[Pendulum, Anatomy]:
     wheels = [wheel for wheel in anatomy.standing if wheel.driven and wheel.sign]
     if not wheels or len(wheels) < len(anatomy.standing) or not anatomy.one_axle or anatomy.forward is None:
         message = "the reference controller can only balance a robot on one axle of driven wheels"
-        raise ConfigError(message, key="env.robot", expected="no reference for this robot: evaluate the policy alone")
+        raise NoBalance(message, key="env.robot", expected="no reference for this robot: evaluate the policy alone")
     base = data.xmat[model.body(anatomy.base).id].reshape(3, 3)
     forward, up = (base @ np.array(axis) for axis in (anatomy.forward, anatomy.up))
     left = np.cross(up, forward)

@@ -257,7 +257,7 @@ wheel_radius: {number(robot.facts.wheel_radius) if robot.wheels else "null"}    
 size: {number(robot.size)}    # m; height of the root link or of the centre of mass, whichever is larger
 mass: {number(facts.mass)}    # kg
 natural_speed: {number(_natural_speed(robot))}    # m/s; sqrt(gravity · size), at most the wheels' top speed
-leg_reach: {number(_leg_reach(robot), 3) if robot.legs else "null"}    # rad; what drives and limits of the legs allow
+leg_reach: {number(_leg_reach(robot), 3) if robot.legs else "null"}    # rad; rotation that drives and limits allow
 physics_dt: {_STEP}    # s
 decimation: {_decimation(robot)}    # physics steps per control step: {1 / (_STEP * _decimation(robot)):.0f} Hz control
 action_scales: {{{scales}}}    # rad and rad/s per unit of action

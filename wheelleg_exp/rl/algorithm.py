@@ -73,9 +73,9 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
 
 
 def symmetry_of(env: RslRlVecEnv, agent: Learning) -> SymmetryOptions | None:
-    """Return ``agent.symmetry``, or None for a robot that is not symmetric, because it has no pairs of joints."""
+    """Return ``agent.symmetry``, or None for a robot that is not symmetric, which has no ``joint_pairs``."""
     options = agent.symmetry if isinstance(agent, Agent) else None
-    return options if options is not None and joint_pairs(env.env, options) else None
+    return options if options is not None and joint_pairs(env.env, options) is not None else None
 
 
 def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:

@@ -24,9 +24,10 @@ from wheelleg_exp.rl.options import SymmetryOptions
 _MAX_TARGET_ERROR = 1e-4  # rad
 
 
-def joint_pairs(env: ManagerBasedRLEnv, options: SymmetryOptions) -> dict[str, str | None]:
-    """Return the pairs of the robot and those of the agent; without any, the robot is not symmetric."""
-    return {**(env.options.robot.joint_pairs or {}), **options.joint_pairs}
+def joint_pairs(env: ManagerBasedRLEnv, options: SymmetryOptions) -> dict[str, str | None] | None:
+    """Return the pairs of the robot and those of the agent; None for a robot that is not symmetric."""
+    pairs = env.options.robot.joint_pairs
+    return None if pairs is None and not options.joint_pairs else {**(pairs or {}), **options.joint_pairs}
 
 
 class Mirror:
@@ -48,7 +49,7 @@ class Mirror:
             if isinstance(rule, str) and rule not in mirror_rules.RULE_NAMES:
                 raise mirror_rules.unknown_rule_error(rule, name)
         robot = env.scene.robot
-        self._images = joint_images(robot.joint_names, joint_pairs(env, options))
+        self._images = joint_images(robot.joint_names, joint_pairs(env, options) or {})
         self._signs = joint_signs(env.scene.model, robot.body_names[0], robot.joint_names, self._images)
         pose = robot.layout.default_joint_pos.tolist()
         for joint, (image, sign) in enumerate(zip(self._images, self._signs, strict=True)):

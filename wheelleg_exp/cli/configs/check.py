@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"mistakes": []})
     else:
+        for key in composed.terms_without_role:
+            print(f"note: left out, because the robot has no joints or links for it: {key}")
         print(f"no mistakes in the task '{composed.config['task']['name']}'")
     return EXIT_OK
 

@@ -88,6 +88,11 @@ class Composed:
     loader: Loader = field(repr=False)
 
     @property
+    def terms_without_role(self) -> list[str]:
+        """The terms that were removed because no joint or link of the robot has their role, such as legs."""
+        return [key for key in self.removed_terms if at(self.raw_tree, split_path(key)) is not None]
+
+    @property
     def provenance(self) -> Provenance:
         """The file or override that set each config value."""
         return self.loader.provenance

@@ -6,14 +6,17 @@ own (dynamic similarity; Froude scaling): gravity is the same for all, so a forc
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
+from typing import TypeGuard
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from wheelleg_exp.config.tree_lookup import section_at
 
-# The keys of ``env.robot`` that give a robot's size, with the stock robot's numbers.
+# The keys of ``env.robot`` that give a robot's size, with the stock robot's numbers. A robot file without ``size`` is
+# from an earlier version, in which the tasks of a project contain the robot's own numbers.
 SIZES = {
     "size": 0.07,
     "mass": 0.5,
@@ -35,22 +38,30 @@ _UNITS: Mapping[str, Mapping[str, int]] = {
     "wheel": {"wheel_radius": 1},
     "leg": {"leg_reach": 1},
 }
-_FACTOR = re.compile(r"(?P<unit>[A-Za-z]+)(?P<power>\d?)|1")
+_LACKING = {"leg_reach": "leg joints", "wheel_radius": "wheels"}
+_FACTOR = re.compile(r"(?P<unit>[A-Za-z]+)(?P<power>[1-9]?)|1")
 _DIGITS = 6  # significant digits of a converted number
 
 
 def sized(value: object, unit: str, *, _root_: DictConfig) -> object:
     """Return ``value``, a number or nested lists of numbers in ``unit`` such as ``m/s`` or ``1/m2``, for the robot.
 
-    Raise ValueError for an unknown unit, or a robot without the sizes in ``env.robot``.
+    Raise ValueError for an unknown unit, or for a robot without legs or wheels, if the unit needs them.
     """
-    factor = 1.0
-    for key, power in _powers(str(unit)).items():
+    factor, powers = 1.0, _powers(str(unit))
+    if OmegaConf.select(_root_, "env.robot.size") is None:
+        powers = {}
+    for key, power in powers.items():
         size = OmegaConf.select(_root_, f"env.robot.{key}")
-        if not isinstance(size, (int, float)) or size <= 0:
-            raise ValueError(f"env.robot.{key} is {size}, so no number in {unit} can be converted for this robot")
+        if not _is_size(size):
+            lack = f"the robot has no {_LACKING[key]}: " if key in _LACKING else ""
+            raise ValueError(f"{lack}env.robot.{key} is {size}, but a number in '{unit}' needs it")
         factor *= (size / SIZES[key]) ** power
     return _times(value, factor)
+
+
+def _is_size(size: object) -> TypeGuard[float]:
+    return isinstance(size, (int, float)) and 0 < size < math.inf
 
 
 def _powers(unit: str) -> dict[str, int]:
@@ -76,7 +87,8 @@ def _times(value: object, factor: float) -> object:
 def robot_sizes(env: Mapping[str, object]) -> list[str]:
     """Return overrides for a config without a robot: the sizes of the robot in the config section ``env``."""
     robot = section_at(env, "robot")
-    return [f"++env.robot.{key}={robot[key]!r}" for key in SIZES if robot.get(key) is not None]
+    keys = SIZES if _is_size(robot.get("size")) else ("standing_height",)
+    return [f"++env.robot.{key}={robot[key]!r}" for key in keys if _is_size(robot.get(key))]
 
 
 def register() -> None:

@@ -24,7 +24,7 @@ from wheelleg_exp.config.composing.compose import Composed
 from wheelleg_exp.config.schema import Experiment
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.evaluation.lqr_balancer import Reference
+from wheelleg_exp.evaluation.lqr_balancer import NoBalance, Reference
 from wheelleg_exp.files import sync_folder
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.jobs.saved_robot import save_robot
@@ -143,6 +143,8 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     """Return the inputs of a training: the robot and the networks that a composed config names."""
     config = composed.config
     require_recorded(config)
+    if lacking := composed.terms_without_role:
+        display.note(f"left out, because the robot has no joints or links for them: {', '.join(lacking)}")
     with initial_file(config, display.note) as (initial, initial_run):
         asset = prepare_asset(config, composed.asset_roots, find_teacher(config) | initial)
     roots, folders = source_roots(composed), composed.config_dirs
@@ -170,8 +172,11 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     controller, notes = None, []
     try:
         controller = Reference(env) if imitates else None
-    except ConfigError as error:
+    except NoBalance as error:
         notes.append(f"no warm start: {error.message}")
+    except ConfigError as error:
+        error.expected = f"{error.expected}; or agent.warm_start=0"
+        raise
     adapter = RslRlVecEnv(env, agent.clip_actions)
     if isinstance(agent, Agent) and agent.symmetry is not None and symmetry_of(adapter, agent) is None:
         notes.append("the robot has no joint_pairs, so the policy learns without mirror images")
