@@ -10,7 +10,14 @@ from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.sized_values import SIZES, robot_sizes
 from wheelleg_exp.errors import ConfigError
 
-ROBOT = "# @package env.robot\nprofile: tall\nsize: 0.14\nmass: 500.0\nnatural_speed: {speed}\nwheel_radius: 0.06\nleg_reach: 0.5\n"
+ROBOT = """# @package env.robot
+profile: tall
+size: 0.14
+mass: 500.0
+natural_speed: {speed}
+wheel_radius: 0.06
+leg_reach: 0.5
+"""
 SPEED = 0.83 * math.sqrt(2)  # Froude's number, speed² / (gravity · length), is that of the stock robot.
 
 
