@@ -224,9 +224,23 @@ def test_the_old_run_is_resumed_as_if_it_had_never_stopped(old_run, answered):
         assert parts["scalars"]["state"] == "equal", parts["scalars"]
         assert parts["scalars"]["iterations"] == 6
         assert not {"parameters", "optimizer"} & set(parts["digests"]["first_difference"])
-    # The order of sections and parameters has changed since then, and a warm start of 0 is new: both without an effect.
+    # The order of sections and parameters has changed, a warm start of 0 is new, and so are the sizes of the robot
+    # and its scales, which the config contains next to the numbers that they give: all without an effect.
     deciding = {entry["key"] for entry in parts["settings"]["differing"] if entry["decides"]}
-    assert deciding <= {"env (order)", "env.commands.base_velocity (order)", "agent.warm_start"}
+    new = (
+        "size",
+        "mass",
+        "natural_speed",
+        "leg_reach",
+        "physics_dt",
+        "decimation",
+        "action_scales",
+        "joint_pairs",
+        "silence",
+    )
+    robot = {f"env.robot.{key}" for key in new}
+    scales = {f"env.observations.{group}.terms.travel_error.scale" for group in ("policy", "critic")}  # twice as a list
+    assert deciding <= {"env (order)", "env.commands.base_velocity (order)", "agent.warm_start", *robot, *scales}
 
 
 @pytest.mark.train

@@ -56,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
 
     import yaml
 
-    # PyYAML writes some lines longer than ``width``, so a width of 72 keeps most lines below 80 characters.
-    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=72)
+    # PyYAML writes some lines longer than ``width``, so a width of 64 keeps all lines below 100 characters.
+    text = yaml.safe_dump(tree, sort_keys=False, allow_unicode=True, default_flow_style=None, width=64)
     print(text.removesuffix("...\n"), end="")
     return EXIT_OK
 
