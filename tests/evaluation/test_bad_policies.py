@@ -24,6 +24,7 @@ WALK = words("walk", episodes=1, horizon_s=3.0, steady_s=1.5, lin_vel_x="[-0.3,0
 SMALL = {
     "gate_stand": words("stand", episodes=4, horizon_s=4.0, survival_s="[4.0]"),
     "gate_walk": WALK,
+    "gate_velocity": WALK,
     "walk": (*WALK, *words("walk", ang_vel_z="[-0.5,0.0,0.5]"), *words("steps", episodes=1, stand_s=1.0, drive_s=2.0)),
     "push": words("push", episodes=1, iterations=2, highest=0.4, directions=2, at_s=1.1, after_s=2.0),
     "robust": (
