@@ -73,7 +73,7 @@ def test_only_numbers_of_a_recorded_robot_reach_a_composition(size):
     assert robot_sizes({"robot": {"size": size, "mass": 1.0, "standing_height": size}}) == []
 
 
-def test_a_strip_ends_before_the_drive_over_it(env):
+def test_a_strip_ends_before_the_drive_over_it():
     for speed in (SPEED, 0.5):
         words = [f"++env.robot.{key}={value}" for key, value in {**SIZES, "natural_speed": speed}.items()]
         strip = compose([*words, "protocol=terrain"], primary="evaluate").config["protocol"]["strip"]
@@ -105,7 +105,7 @@ def test_what_cannot_be_converted_is_reported_at_its_key(value, message):
     assert "env.rewards.alive.weight" in str(refused.value)
 
 
-def test_a_term_for_a_role_that_no_joint_has_is_left_out(env):
+def test_a_term_for_a_role_that_no_joint_has_is_left_out():
     without = "env.robot.joint_sets.left_legs=[]", "env.robot.joint_sets.right_legs=[]"
     composed = compose(["task=walk", *without])
     assert composed.terms_without_role == ["env.rewards.leg_joint_symmetry"]

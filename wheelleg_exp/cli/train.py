@@ -387,19 +387,18 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
             raise
         if status == "interrupted":
             display.note(f"interrupted; resume with: {again}")
-    last, failed = index.run_of(index.phases[-1]), [entry for entry in index.phases if entry["status"] == "failed"]
+    last, undone = index.run_of(index.phases[-1]), list[str]()
+    failed = [entry for entry in index.phases if entry["status"] == "failed"]
     for entry in failed if status == "stopped" else ():
         words = phase_overrides(entry["name"], pipeline.phases[entry["name"]], index.data["overrides"])
         folders = [word for folder in index.data["config_dirs"] for word in ("--config-dir", folder)]
         _command("doctor", *words, "--all", *folders)  # Findings that the config accepts can be the cause, too.
-    undone = []
     if status == "finished" and pipeline.results is not None and last is not None:
         undone = _present(last, index.folder / "film.mp4", pipeline.results, index.data["config_dirs"])
+    done = EXIT_FINDING if undone else EXIT_OK
     if args.json:
         print_json({"pipeline": str(index.folder), **index.data})
-        return {"finished": EXIT_FINDING if undone else EXIT_OK, "interrupted": EXIT_INTERRUPTED}.get(
-            status, EXIT_FINDING
-        )
+        return {"finished": done, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_FINDING)
     if status == "interrupted":
         return EXIT_INTERRUPTED
     rows = []
@@ -414,8 +413,8 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
             print(f"      {tool('wheelleg')} evaluate {shown(last)}")
         for text in undone:
             print(f"failed: {text}")
-        return EXIT_FINDING if undone else EXIT_OK
-    (first,) = failed[:1]
+        return done
+    first = failed[0]
     more = 2 * max(int(index.data["config"]["phases"][first["name"]]["max_iterations"]), int(first["trained"]))
     print(f"next: {again} pipeline.phases.{first['name']}.max_iterations={more}")
     return EXIT_FINDING

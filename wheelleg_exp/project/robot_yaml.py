@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from wheelleg_exp.anatomy.compiled_robot import name_expression
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.lint.rule import at_least, at_most
-from wheelleg_exp.project.survey import Survey
+from wheelleg_exp.project.survey import Survey, joint_pairs
 
 WIDTH = 110
 _PLAIN = re.compile(r"[A-Za-z_][\w./-]*")
@@ -318,12 +318,10 @@ def _leg_reach(robot: Survey) -> float:
 
 
 def _joint_pairs(robot: Survey) -> str:
-    note = "joints of one side, and their mirror images"
     if robot.asymmetry is not None:
         return f"joint_pairs: null    # not symmetric: {robot.asymmetry}\n"
-    pairs = {pair.left: pair.right for pair in robot.anatomy.mirrored if pair.left != pair.right}
-    items = "".join(f"\n  {word(name_expression(left))}: {word(right)}" for left, right in pairs.items())
-    return f"joint_pairs:{items or ' {}'}    # {note}\n"
+    items = "".join(f"\n  {word(left)}: {word(str(right))}" for left, right in joint_pairs(robot.anatomy).items())
+    return f"joint_pairs:{items or ' {}'}    # joints of one side, and their mirror images\n"
 
 
 def _named_lists(lists: Mapping[str, Sequence[str]]) -> str:

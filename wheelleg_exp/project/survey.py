@@ -106,8 +106,8 @@ class Survey:
     None if the caller gave positions. ``overlaps`` maps pairs of links to the depth, m, by which they overlap. ``size``
     is the height of the root link or of the centre of mass, m, whichever is larger. ``up`` is the axis of the root link
     that points upwards. ``trunk`` is the heaviest link that is fixed to the root link; ``trunk_mass`` is in kg.
-    ``wheel_bodies`` touch the ground; ``raised_bodies`` have colliders, but do not. ``asymmetry`` says why the robot
-    has no mirror images, or is None. ``notes`` warn the user.
+    ``wheel_bodies`` touch the ground; ``raised_bodies`` have colliders, but do not. ``asymmetry`` is the reason why the
+    policy of a robot cannot learn from mirror images; None for a symmetric robot. ``notes`` are warnings.
     """
 
     dofs: dict[str, Dof]
@@ -262,11 +262,16 @@ def _measured(conversion: Conversion, robot: Robot, model: mujoco.MjModel, stand
     )
 
 
+def joint_pairs(anatomy: Anatomy) -> dict[str, str | None]:
+    """Return the joints of one side, as expressions, with their mirror images."""
+    return {name_expression(pair.left): pair.right for pair in anatomy.mirrored if pair.left != pair.right}
+
+
 def _asymmetry(model: mujoco.MjModel, robot: Robot, anatomy: Anatomy) -> str | None:
     """Return why the policy of a robot cannot learn from mirror images, or None."""
-    pairs = {name_expression(pair.left): pair.right for pair in anatomy.mirrored if pair.left != pair.right}
+    images = joint_images(robot.joint_names, joint_pairs(anatomy))
     try:
-        joint_signs(model, robot.body_names[0], robot.joint_names, joint_images(robot.joint_names, pairs))
+        joint_signs(model, robot.body_names[0], robot.joint_names, images)
     except ConfigError as error:
         return error.message
     return None

@@ -51,7 +51,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     require_agent(agent, env.num_envs)
     if torch.device(agent.device).type == "cpu":
         _require_memory(env, observations, agent)
-    options = symmetry_of(env, agent)
+    options = _symmetry_of(env, agent)
     groups = [] if options is None else _seen(agent, observations, options)
     env.mirror = None if options is None else Mirror(env.env, options, groups, agent.device)
     # Copy the options, because rsl_rl changes them. Redirect stdout, because rsl_rl prints the networks.
@@ -72,7 +72,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     return algorithm
 
 
-def symmetry_of(env: RslRlVecEnv, agent: Learning) -> SymmetryOptions | None:
+def _symmetry_of(env: RslRlVecEnv, agent: Learning) -> SymmetryOptions | None:
     """Return ``agent.symmetry``, or None for a robot that is not symmetric, which has no ``joint_pairs``."""
     options = agent.symmetry if isinstance(agent, Agent) else None
     return options if options is not None and joint_pairs(env.env, options) is not None else None
@@ -80,7 +80,7 @@ def symmetry_of(env: RslRlVecEnv, agent: Learning) -> SymmetryOptions | None:
 
 def mirrored_half(env: RslRlVecEnv, agent: Learning) -> MirroredHalf | None:
     """Return a ``MirroredHalf`` if ``agent.symmetry.mirrored_envs`` is true, otherwise None."""
-    options = symmetry_of(env, agent)
+    options = _symmetry_of(env, agent)
     if options is None or not options.mirrored_envs:
         return None
     if env.num_envs < 2:

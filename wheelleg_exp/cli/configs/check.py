@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"mistakes": []})
     else:
         for key in composed.terms_without_role:
-            print(f"note: left out, because the robot has no joints or links for it: {key}")
+            print(f"note: left out, because the robot lists no joints or links for it: {key}")
         print(f"no mistakes in the task '{composed.config['task']['name']}'")
     return EXIT_OK
 

@@ -114,10 +114,8 @@ def check_tree(config: Mapping[str, object], root: type) -> list[ConfigError]:
     errors += check_terms.check_sections(config)
     errors += check_terms.check_nested_targets(config)
     errors += [*check_terms.check_links(config), *check_terms.check_realism(config)]
-    silences = {f"{where}.silence": section_at(config, f"{where}.silence") for where in ("check", "env.robot")}
-    for key, name, reason in [
-        (f"{k}.{name}", name, why) for k, given in silences.items() for name, why in given.items()
-    ]:
+    silences = [f"{section}.silence" for section in ("check", "env.robot")]
+    for key, name, reason in ((f"{s}.{n}", n, why) for s in silences for n, why in section_at(config, s).items()):
         if name not in schema.PHYSICS_RULES:
             expected, nearest = "a rule of `wheelleg check --list`", nearest_name(str(name), schema.PHYSICS_RULES)
             errors.append(ConfigError("there is no such rule", key=key, expected=expected, nearest=nearest))

@@ -89,7 +89,7 @@ class Composed:
 
     @property
     def terms_without_role(self) -> list[str]:
-        """The terms that were removed because no joint or link of the robot has their role, such as legs."""
+        """The terms that were removed because the robot lists no joints or links of their role, such as legs."""
         return [key for key in self.removed_terms if at(self.raw_tree, split_path(key)) is not None]
 
     @property

@@ -34,7 +34,6 @@ from wheelleg_exp.jobs.train.source_roots import loaded_outside, module_digests,
 from wheelleg_exp.jobs.train.training_recording import require_graphics
 from wheelleg_exp.paths import TEACHER
 from wheelleg_exp.rl import checkpoint
-from wheelleg_exp.rl.algorithm import symmetry_of
 from wheelleg_exp.rl.determinism import no_global_draws
 from wheelleg_exp.rl.options import Agent, DistillationAgent, Learning, Matmul
 from wheelleg_exp.rl.ranks import ALONE, Ranks
@@ -144,7 +143,7 @@ def find_inputs(composed: Composed, display: Display) -> Recipe:
     config = composed.config
     require_recorded(config)
     if lacking := composed.terms_without_role:
-        display.note(f"left out, because the robot has no joints or links for them: {', '.join(lacking)}")
+        display.note(f"left out, because the robot lists no joints or links for them: {', '.join(lacking)}")
     with initial_file(config, display.note) as (initial, initial_run):
         asset = prepare_asset(config, composed.asset_roots, find_teacher(config) | initial)
     roots, folders = source_roots(composed), composed.config_dirs
@@ -177,9 +176,8 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
     except ConfigError as error:
         error.expected = f"{error.expected}; or agent.warm_start=0"
         raise
-    adapter = RslRlVecEnv(env, agent.clip_actions)
-    if isinstance(agent, Agent) and agent.symmetry is not None and symmetry_of(adapter, agent) is None:
+    trainer = Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, teacher, initial, ranks, controller)
+    if isinstance(agent, Agent) and agent.symmetry is not None and trainer.env.mirror is None:
         notes.append("the robot has no joint_pairs, so the policy learns without mirror images")
-    trainer = Trainer(adapter, agent, seed, teacher, initial, ranks, controller)
     trainer.notes = notes
     return trainer, threads | dependent_products(trainer.networks(), agent, samples, threads)
