@@ -278,9 +278,12 @@ def test_the_last_policy_is_evaluated_next_to_the_reference_filmed_exported_and_
     for name in ("2026-01-01", "2026-01-02"):
         (tmp_path / "play" / name).mkdir(parents=True)
         (tmp_path / "play" / name / "recording.rrd").touch()
-    assert train._present(tmp_path, tmp_path / "film.mp4", "first_drive", ["mine"]) == ["export"]  # the only failure
+        (tmp_path / "play" / name / "figures.json").write_text('{"survival": 0.0}')
+    film, settings = tmp_path / "film.mp4", runner.PipelineSettings({"figures": ["*/survival"]}, {}, "first_drive")
+    assert train._present(tmp_path, film, settings, ["mine"]) == [f"the robot falls in the film: {film}", "export"]
     assert [words[0] for words in said] == ["evaluate", "play", "inspect", "export", "report"]
-    assert said[0][1:] == (str(tmp_path), "protocol=first_drive", "--reference", "--config-dir", "mine")
+    words = ("protocol=first_drive", "--reference", "--config-dir", "mine", "--metric", "*/survival")
+    assert said[0][1:] == (str(tmp_path), *words)
     assert said[2][1:] == (str(tmp_path / "play" / name / "recording.rrd"), "--video", str(tmp_path / "film.mp4"))
 
 
@@ -289,6 +292,16 @@ def test_the_phases_of_a_first_drive_fit_together_and_its_protocols_have_its_met
     assert (pipeline.results, list(phases)) == ("first_drive", ["walk", "realism"])
     with pytest.raises(ConfigError, match="no_such"):
         train.composed_phases(["pipeline=first_drive", "pipeline.results=no_such"], [])
+
+
+def test_a_pipeline_in_a_project_with_robots_trains_another_robot_only_on_request(tmp_path):
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "mine.yaml").touch()
+    _, phases = train.composed_phases(["pipeline=first_drive"], [])
+    with pytest.raises(ConfigError, match="phase 'walk' trains the robot 'article'; expected robot=mine; or robot=art"):
+        train._require_own_robot(phases, ["seed=1"], [tmp_path])
+    train._require_own_robot(phases, ["robot=article"], [tmp_path])
+    train._require_own_robot(phases, [], [])
 
 
 def test_the_phases_of_the_stock_pipeline_fit_together_with_realism():

@@ -46,6 +46,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--engine", metavar="NAME", help=text)
     text = "evaluate with each of two engines, and compare them in pairs of episodes: mujoco,physx"
     parser.add_argument("--engines", metavar="NAME,NAME", help=text)
+    text = "print only the metrics that match a pattern, such as '*/survival'; repeatable"
+    parser.add_argument("--metric", metavar="PATTERN", action="append", default=[], help=text)
     add_stored(parser)
     add_config_dir(parser)
     add_root(parser)
@@ -95,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
             reference = evaluator.reference(made[0], overrides)
             against = [reference] if REFERENCE in args.against else against
     if len(made) > 1 or against or reference is not None:
-        return _compare(made, against, reference, args.command, engines, json=args.json)
+        return _compare(made, against, reference, args.command, engines, json=args.json, only=args.metric)
     (one,) = made
     if args.json:
         print_json({"run": str(one.run.path), "folder": str(one.folder), **one.content})
@@ -103,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_evaluation
 
     print(f"evaluated {shown(one.checkpoint or one.folder)} without exploration noise")
-    print_evaluation(one.content)
+    print_evaluation(one.content, args.metric)
     print(f"\nevaluation: {shown(one.folder)}")
     return EXIT_OK
 
@@ -142,6 +144,7 @@ def _compare(
     engines: Sequence[str],
     *,
     json: bool,
+    only: Sequence[str],
 ) -> int:
     from wheelleg_exp.cli.printing.metric_tables import print_comparison, print_differences
     from wheelleg_exp.jobs.compare_evaluations import compare
@@ -151,9 +154,9 @@ def _compare(
         folders = [str(one.folder) for one in (*made, *against, *([reference] if reference is not None else []))]
         print_json({"folder": str(found.folder), "evaluations": list(dict.fromkeys(folders)), **found.content})
         return EXIT_OK
-    print_comparison(found, made, reference)
+    print_comparison(found, made, reference, only)
     if against:
-        print_differences(found)
+        print_differences(found, only)
     print(f"\ncomparison: {shown(found.folder)}")
     return EXIT_OK
 

@@ -6,7 +6,7 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout, suppress
 from importlib import import_module
 from pathlib import Path
@@ -25,7 +25,7 @@ from wheelleg_exp.errors import (
     SimulationFailure,
     WheellegError,
 )
-from wheelleg_exp.files import write_text
+from wheelleg_exp.files import read_json, write_text
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import names_pipeline
 from wheelleg_exp.torchrun import require_alone, world_size
@@ -297,6 +297,7 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 
     overrides = [word for word in args.overrides if not names_pipeline(word)]
     pipeline, phases = composed_phases(args.overrides, args.config_dirs)
+    _require_own_robot(phases, overrides, args.config_dirs)
     stop.check()
 
     from wheelleg_exp.config.composing.compose_sweep import digest_of
@@ -310,6 +311,16 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
         digests={name: digest_of(composed) for name, composed in phases.items()},
     )
     return _run_pipeline(args, index, pipeline, stop)
+
+
+def _require_own_robot(phases: Mapping[str, Composed], overrides: Sequence[str], config_dirs: Sequence[Path]) -> None:
+    """Raise ConfigError if the user's project has robots, and a phase trains another one without being told to."""
+    own = {file.stem for folder in config_dirs for file in (folder / "robot").glob("*.yaml")}
+    for name, composed in phases.items():
+        robot = composed.config["env"]["robot"]["profile"]
+        if own and robot not in own and not any(word.startswith("robot=") for word in overrides):
+            message, expected = f"phase '{name}' trains the robot '{robot}'", " or ".join(f"robot={one}" for one in own)
+            raise ConfigError(message, key="robot", expected=f"{expected}; or robot={robot}, to train it anyway")
 
 
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
@@ -343,18 +354,21 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
     return _run_pipeline(args, index, prepare(index, args.overrides, args.command, args.config_dirs), stop)
 
 
-def _present(run: Path, film: Path, protocol: str, config_dirs: Sequence[str]) -> list[str]:
+def _present(run: Path, film: Path, pipeline: PipelineSettings, config_dirs: Sequence[str]) -> list[str]:
     """Evaluate, film, export, and describe the last policy of a pipeline with the commands that a user would type.
 
-    Return the commands that failed. Raise Interrupted if one was interrupted.
+    Return what failed: commands, or the robot in the film. Raise Interrupted if a command was interrupted.
     """
-    folders = [word for folder in config_dirs for word in ("--config-dir", folder)]
+    words = [word for folder in config_dirs for word in ("--config-dir", folder)]
+    words += [word for pattern in pipeline.tree.get("figures", []) for word in ("--metric", pattern)]
     failed = [
-        *_command("evaluate", str(run), f"protocol={protocol}", "--reference", *folders),
+        *_command("evaluate", str(run), f"protocol={pipeline.results}", "--reference", *words),
         *_command("play", str(run), "env.num_envs=1", "env.episode_length_s=20.0"),
     ]
     for recording in sorted((run / "play").glob("*/recording.rrd"))[-1:]:
         failed += _command("inspect", str(recording), "--video", str(film))
+        if read_json(recording.with_name("figures.json"))["survival"] < 1.0:
+            failed.append(f"the robot falls in the film: {shown(film)}")
     return [*failed, *_command("export", str(run)), *_command("report", str(run))]
 
 
@@ -379,7 +393,8 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
 
     again = f"{tool('wheelleg')} resume {shown(index.folder)}"
     with ConsoleDisplay(quiet=True) as display, RunLock(index.folder):
-        display.note(f"pipeline '{pipeline.tree['name']}': {', '.join(pipeline.phases)}; record: {shown(index.path)}")
+        asked = shlex.join([f"pipeline={pipeline.tree['name']}", *index.data["overrides"]])
+        display.note(f"{asked}: {', '.join(pipeline.phases)}; record: {shown(index.path)}")
         try:
             status = PipelineRunner(index, pipeline, display, stop).run()
         except WheellegError:
@@ -394,7 +409,7 @@ def _run_pipeline(args: argparse.Namespace, index: PipelineIndex, pipeline: Pipe
         folders = [word for folder in index.data["config_dirs"] for word in ("--config-dir", folder)]
         _command("doctor", *words, "--all", *folders)  # Findings that the config accepts can be the cause, too.
     if status == "finished" and pipeline.results is not None and last is not None:
-        undone = _present(last, index.folder / "film.mp4", pipeline.results, index.data["config_dirs"])
+        undone = _present(last, index.folder / "film.mp4", pipeline, index.data["config_dirs"])
     done = EXIT_FINDING if undone else EXIT_OK
     if args.json:
         print_json({"pipeline": str(index.folder), **index.data})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,13 +108,21 @@ def _degrees(value: float) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
-def print_evaluation(content: Mapping[str, Any]) -> None:
-    """Print the content of ``evaluation.json``: one table for each group of metrics, with angles in degrees."""
+def _is_wanted(name: str, only: Sequence[str]) -> bool:
+    return not only or any(fnmatchcase(name, pattern) for pattern in only)
+
+
+def print_evaluation(content: Mapping[str, Any], only: Sequence[str] = ()) -> None:
+    """Print the content of ``evaluation.json``: one table for each group of metrics, with angles in degrees.
+
+    ``only`` contains patterns of the metrics to print; empty prints all.
+    """
     about, protocol = content["about"], content["protocol"]
     dt, step = about.get("physics_dt_s"), about.get("step_dt_s")
     print(f"protocol {protocol['name']}, seed {content['seed']}, scenarios {content['scenarios_sha256'][:12]}")
     print(f"robot profile {about.get('profile')}, {about.get('engine')}, physics step {dt:.6g} s, control {step:.6g} s")
-    for group, found in groupby(content["metrics"], lambda name: name.split("/")[0]):
+    wanted = (name for name in content["metrics"] if _is_wanted(name, only))
+    for group, found in groupby(wanted, lambda name: name.split("/")[0]):
         print()
         names = list(found)
         rows = [_row(name, content["metrics"][name]) for name in names if content["metrics"][name]["episodes"]]
@@ -134,8 +143,10 @@ def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]
     return name.split("/", 1)[1], value, between, unit, str(figure["episodes"])
 
 
-def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None) -> None:
-    """Print one table with every metric of the evaluated runs and of the linear-quadratic reference controller."""
+def print_comparison(
+    made: Compared, runs: Sequence[Evaluated], reference: Evaluated | None, only: Sequence[str] = ()
+) -> None:
+    """Print one table with the metrics of the evaluated runs and of the linear-quadratic reference controller."""
     from wheelleg_exp.jobs.compare_evaluations import display_name
 
     print(f"protocol {made.content['protocol']}, scenarios {made.content['scenarios_sha256'][:12]}")
@@ -146,7 +157,7 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
     columns += ["mean", "95 % interval", "noise floor"] if several else []
     columns += ["reference"] if reference is not None else []
     rows, unmeasured = [], []
-    for row in made.seeds:
+    for row in (row for row in made.seeds if _is_wanted(row.metric, only)):
         factor, unit = _scale(row.unit)
         cells = [_number(value, factor) for value in row.values]
         if several:
@@ -165,9 +176,10 @@ def print_comparison(made: Compared, runs: Sequence[Evaluated], reference: Evalu
         print(hanging("intervals: bootstrap over the runs and, within each run, over its episodes", 0))
 
 
-def print_differences(made: Compared) -> None:
+def print_differences(made: Compared, only: Sequence[str] = ()) -> None:
     """For each metric, print the difference between two groups of runs, and a sentence that names the better group."""
-    rows = [_difference(row) for row in made.differences if row.better and math.isfinite(row.interval.value)]
+    found = (row for row in made.differences if _is_wanted(row.metric, only))
+    rows = [_difference(row) for row in found if row.better and math.isfinite(row.interval.value)]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
     print(hanging("p: two-sided, paired if episodes have equal starts, corrected for all tests (Holm)", 0))

@@ -57,11 +57,13 @@ class Pipeline:
         phases: the phases by name, in order; each starts with the policy of the previous one; null removes a phase.
         results: protocol with which the last policy and the reference controller are evaluated at the end; then the
             policy is filmed and exported, and a report is written. Null ends the pipeline after the last phase.
+        figures: patterns of the metrics that are printed at the end, such as ``*/survival``; empty prints all.
     """
 
     name: str
     phases: dict[str, Phase | None]
     results: str | None = None
+    figures: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
