@@ -280,7 +280,8 @@ def test_the_last_policy_is_evaluated_next_to_the_reference_filmed_exported_and_
         (tmp_path / "play" / name / "recording.rrd").touch()
         (tmp_path / "play" / name / "figures.json").write_text('{"survival": 0.0}')
     film, settings = tmp_path / "film.mp4", runner.PipelineSettings({"figures": ["*/survival"]}, {}, "first_drive")
-    assert train._present(tmp_path, film, settings, ["mine"]) == [f"the robot falls in the film: {film}", "export"]
+    fell = f"the robot falls in the film: {train.shown(film)}"
+    assert train._present(tmp_path, film, settings, ["mine"]) == [fell, "export"]
     assert [words[0] for words in said] == ["evaluate", "play", "inspect", "export", "report"]
     words = ("protocol=first_drive", "--reference", "--config-dir", "mine", "--metric", "*/survival")
     assert said[0][1:] == (str(tmp_path), *words)

@@ -1,0 +1,147 @@
+"""Write the table of docs/robots.md and its pictures: ``python docs/make_robot_table.py DETAILS.json PIPELINE [...]``.
+
+Each PIPELINE is the folder of ``wheelleg train pipeline=first_drive`` for one robot, ``runs/pipelines/<time>``.
+``DETAILS.json`` maps the name of a robot's config to its ``name``, ``file``, and ``source`` (repository and commit).
+The rows are added to ``docs/tables/robots.json``, from which the table is written, also without arguments.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from PIL import Image
+
+from wheelleg_exp.evaluation.lqr_balancer import Reference
+from wheelleg_exp.files import dump_json, write_text
+from wheelleg_exp.jobs.saved_evaluation import RESULT, read_content
+from wheelleg_exp.run import run_config
+from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_index import PipelineIndex
+from wheelleg_exp.run.timestamps import parse_utc
+
+DOCS = Path(__file__).parent
+ROWS, PAGE, PICTURES = DOCS / "tables" / "robots.json", DOCS / "robots.md", DOCS / "images" / "robots"
+PROTOCOL = "first_drive"
+START, END = "<!-- robots: written by docs/make_robot_table.py -->", "<!-- end of robots -->"
+TITLES = (
+    *("", "robot", "kg", "h, m", "leg joints", "iterations, walk + realism", "min", "survived", "drift in 60 s"),
+    *("commands within 10 %", "error of the speed", "kick, worst of 8", "delay", "slope", "payload"),
+)
+HEAD = f"| {' | '.join(TITLES)} |\n|{'---|' * len(TITLES)}\n"
+TILE = 160  # px
+
+
+def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the newest evaluations of a run with the protocol measured, for the policy and the reference."""
+    env, _ = run_config.load_params(run)
+    robot: Mapping[str, Any] = env["robot"]
+    found = [read_content(path.parent) for path in sorted(run.evaluation.glob(f"*/{RESULT}"))]
+    row: dict[str, Any] = {
+        **details[robot["profile"]],
+        **{key: robot[key] for key in ("size", "mass")},
+        "legs": len(robot["joint_sets"]["legs"]),
+        "wheels": len(robot["joint_sets"]["wheels"]),
+    }
+    for content in (content for content in found if content["protocol"]["name"] == PROTOCOL):
+        who = "reference" if content.get("policy") == Reference.name else "policy"
+        row[who] = {name: figure["value"] for name, figure in content["metrics"].items()}
+    return row
+
+
+def line_of(name: str, row: Mapping[str, Any]) -> str:
+    """Return a row of the table; the reference's figures follow the policy's in brackets."""
+
+    def both(metric: str, scale: float = 1.0, digits: int = 2) -> str:
+        made = [row[who].get(metric) for who in ("policy", "reference") if who in row]
+        texts = ["–" if value is None else f"{scale * value:.{digits}g}" for value in made]
+        return f"{texts[0]} ({texts[1]})" if len(texts) > 1 else "".join(texts) or "–"
+
+    speed = math.sqrt(9.81 * row["size"])
+    survived = [row["policy"][f"{test}/survival"] for test in ("stand", "walk", "steps")] if "policy" in row else []
+    cells = [
+        f"![{row['name']}](images/robots/{name}.png)",
+        f"{row['name']} ({row['file']}, {row['source']})",
+        f"{row['mass']:.3g}",
+        f"{row['size']:.2g}",
+        str(row["legs"]),
+        f"{row['iterations']}",
+        "–" if row["minutes"] is None else f"{row['minutes']:.0f}",
+        f"{100 * min(survived):.3g} %" if survived else row["why"],
+        f"{both('stand/drift', 1e3)} mm",
+        f"{both('walk/commandable_area', 100, 3)} %",
+        f"{both('walk/error_vx_steady', 1e3)} mm/s",
+        f"{both('push/limit_worst_0s', 1 / speed)} √(g·h)",
+        f"{both('robust/margin/delay', 1e3)} ms",
+        f"{both('robust/margin/slope', 180 / math.pi)}°",
+        f"{both('robust/margin/payload', 100 / row['mass'])} %",
+    ]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def picture(run: RunDirectory, to: Path) -> None:
+    """Draw the robot of a run in its default pose, from the front left."""
+    robot = run_config.load_params(run)[0]["robot"]
+    spec = mujoco.MjSpec.from_file(str(run.asset / "robot.xml"))
+    spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=64, height=384, rgb1=[0.97, 0.98, 1.0], rgb2=[0.80, 0.86, 0.93],
+    )  # fmt: skip
+    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.5] * 3
+    spec.visual.global_.offwidth = spec.visual.global_.offheight = 2 * TILE
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for joint in range(model.njnt):
+        name, at = model.joint(joint).name, model.jnt_qposadr[joint]
+        values = [v for key, v in robot["init_state"]["joint_pos"].items() if re.fullmatch(key, name)]
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            data.qpos[at + 3 : at + 7] = robot["init_state"]["rot"]
+        elif values:
+            data.qpos[at] = values[0]
+    mujoco.mj_forward(model, data)
+    places = data.xpos[1:]
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = (places.min(axis=0) + places.max(axis=0)) / 2
+    extent = float(((places.max(axis=0) - places.min(axis=0)) ** 2).sum() ** 0.5)
+    camera.distance, camera.azimuth, camera.elevation = 1.7 * extent + 0.05, 145, -18
+    options = mujoco.MjvOption()
+    options.geomgroup[:] = [1, 1, 1, 1, 0, 0]
+    with mujoco.Renderer(model, 2 * TILE, 2 * TILE) as renderer:
+        renderer.update_scene(data, camera, options)
+        image = Image.fromarray(renderer.render()).resize((TILE, TILE), Image.Resampling.LANCZOS)
+    to.parent.mkdir(exist_ok=True)
+    image.quantize(64).save(to, optimize=True)
+
+
+def main(words: list[str]) -> None:
+    """Add the rows of the given runs, draw their robots, and write the table."""
+    rows: dict[str, Any] = json.loads(ROWS.read_text()) if ROWS.is_file() else {}
+    details = json.loads(Path(words[0]).read_text()) if words else {}
+    for word in words[1:]:
+        index = PipelineIndex.load(word)
+        started = [phase for phase in index.phases if phase["run"]]
+        run = RunDirectory(Path(index.run_of(started[-1]) or word))
+        name = run_config.load_params(run)[0]["robot"]["profile"]
+        took = parse_utc(str(started[-1]["ended"])) - parse_utc(index.data["started"])
+        finished = index.phases[-1]["status"] == "passed"
+        rows[name] = {
+            **row_of(run, details),
+            "minutes": took.total_seconds() / 60 if finished and index.data["status"] == "finished" else None,
+            "iterations": " + ".join(str(phase["trained"]) for phase in index.phases),
+            "why": None if finished else f"gate of {started[-1]['name']}: {'; '.join(started[-1]['gates'][-1]['why'])}",
+        }
+        picture(run, PICTURES / f"{name}.png")
+    write_text(ROWS, dump_json(dict(sorted(rows.items()))) + "\n")
+    before, rest = PAGE.read_text().split(START)
+    table = HEAD + "".join(line_of(name, row) for name, row in sorted(rows.items()))
+    write_text(PAGE, f"{before}{START}\n{table}{END}{rest.split(END)[1]}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
