@@ -7,6 +7,7 @@ import torch
 from sim.small_envs import env_config, env_of, run, variant
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 from wheelleg_exp.sim.terrain import Plane
 
 pytestmark = pytest.mark.usefixtures("allow_test_terms")
@@ -368,3 +369,38 @@ def test_a_jump_is_commanded_where_the_ground_ahead_is_higher(start_env):
     assert commanded(-0.06, 0.0) == [0.0] * 5
     assert commanded(-0.06, math.pi) == commanded(0.2, math.pi) == [0.0] * 5
     assert commanded(-0.04, 0.0) == [1.0, 0.667, 0.333, 0.0, 1.0]
+
+
+def test_a_bump_sends_the_robot_back_then_to_a_jump_before_the_same_place(start_env, monkeypatch):
+    place, rolled = torch.zeros(2), torch.zeros(2)
+    monkeypatch.setattr(UniformVelocityTravelCommand, "rolled", property(lambda _: rolled))
+    drive = {"_target_": C + "UniformVelocityTravelCommand", **_travel_node(max_lin_acceleration=3.0)}
+    drive |= {"ranges": {"lin_vel_x": [0.2, 0.2]}, "resampling_time_range": [99.0, 99.0]}
+    jump = {"_target_": C + "JumpCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, "trigger": "bump"}
+    jump |= {
+        "resampling_time_range": [99.0, 99.0],
+        "window_s": 0.5,
+        "bump": {"back": 0.4, "run_up": 0.5, "wait_s": 0.3},
+    }
+    env = start_env(commands={"drive": drive, "jump": jump}, num_envs=2)
+    travel, term = env.command_manager.get_term("drive"), env.command_manager.get_term("jump")
+    dt, way, stops, jumped = env.step_dt, [], [], []
+    for _ in range(round(6.0 / dt)):
+        if way and way[-1] < 0.0:
+            travel.asked[1, 0] = 0.0  # The user of the second robot stops it while it drives back.
+        env.command_manager.compute(dt)
+        command = travel.command[:, 0]
+        is_blocked = (place >= 0.5) & (command > 0.0) & (term.command[:, 0] == 0.0) & (place < 0.52)
+        stops += [float(place[0])] * bool(is_blocked[0])
+        jumped += [float(place[0])] * bool(term.command[0, 0] == 1.0)
+        rolled.copy_(torch.where(is_blocked, torch.zeros(2), command))
+        place += rolled * dt
+        way.append(round(float(command[0]), 3))
+    (start,) = jumped
+    assert start == pytest.approx(stops[0] - 0.09 * 0.5, abs=0.5 * dt)
+    assert (min(way), max(way), way[-1]) == (-0.5, 0.5, 0.2)  # back, run-up, and again as the user wants
+    assert float(place[0]) > 0.9
+    assert 0.4 < float(place[1]) <= stops[0]
+    assert term.bump.phase.tolist() == [0, 0]
+    with pytest.raises(ConfigError, match=r"velocity_command.*drive back"):
+        _env(start_env, "JumpCommand", resampling_time_range=[9.0, 9.0], window_s=0.5, trigger="bump")

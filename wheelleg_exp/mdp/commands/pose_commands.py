@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import torch
@@ -11,12 +12,15 @@ from wheelleg_exp.constraints import Broken, Interval, Positive, PositiveInterva
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import CommandTerm, Env, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.mdp.commands.velocity_commands import UniformVelocityTravelCommand
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
 from wheelleg_exp.sim.timers import may_be_due
+from wheelleg_exp.state.stateful import Stateful
 
 _Place = Literal["pos_x", "pos_y", "heading"]
 _Pose = Literal["pos_x", "pos_y", "pos_z", "roll", "pitch", "yaw"]
+_Bump = Literal["stopped_share", "stopped_s", "wait_s", "back", "run_up", "before_s"]
 
 
 def _heading_has_a_range(simple_heading: bool, ranges: Mapping[str, object]) -> Iterator[Broken]:
@@ -248,25 +252,101 @@ class UniformBasePoseCommand(RangedCommand):
         self._command[env_ids] = low + (high - low) * u
 
 
-def _window_fits(window_s: float, resampling_time_range: PositiveInterval) -> Iterator[Broken]:
+_FOLLOW, _BACK, _RUN_UP, _OVER = range(4)  # The phases of ``BumpTrigger``.
+
+
+@dataclass(frozen=True)
+class Bump:
+    """How a robot without a scanner jumps onto a step that stopped its wheels.
+
+    Attributes:
+        stopped_share: wheels have stopped if they are slower than this share of the commanded speed.
+        stopped_s: time for which they must be so slow, s.
+        wait_s: time after a start or a jump in which slow wheels do not count, s, because the robot must accelerate.
+        back: way back, m: at least run_up²/a to turn around and accelerate by a, plus the way of one second.
+        run_up: speed before the jump, m/s; one at which the policy learned to jump.
+        before_s: time between the jump's command and the step, s; depends on the policy.
+    """
+
+    stopped_share: float = 0.35
+    stopped_s: float = 0.06
+    wait_s: float = 1.0
+    back: float = 0.35
+    run_up: float = 0.3
+    before_s: float = 0.09
+
+
+class BumpTrigger(Stateful):
+    """Backs up from a step that stopped the wheels, runs up to it, and asks for a jump.
+
+    The place of the step follows from the rotation of the wheels. Until the jump has ended, the speed of the velocity
+    command ``travel`` is replaced; a user who stops or turns around ends the phases.
+    """
+
+    def __init__(self, env: Env, travel: str, bump: Bump) -> None:
+        self._env, self._name, self._bump = env, travel, bump
+        zeros = torch.zeros(env.num_envs, device=env.device)
+        self.phase = self.buffer("phase", zeros.long(), fill=_FOLLOW)
+        self._way = self.buffer("_way", zeros.clone(), fill=0.0)  # 1 forwards, -1 backwards, 0 standing
+        self._waited = self.buffer("_waited", zeros.clone(), fill=0.0)  # s in ``_FOLLOW``
+        self._slow = self.buffer("_slow", zeros.clone(), fill=0.0)  # s with slow wheels
+        self._ahead = self.buffer("_ahead", zeros.clone(), fill=0.0)  # m to the place of the bump
+        self._speed = self.buffer("_speed", zeros.clone(), fill=0.0)  # commanded, m/s
+
+    def step(self, is_jumping: torch.Tensor) -> torch.Tensor:
+        """Set the commanded speed, and return a mask of the robots that must start a jump, (N,)."""
+        bump, phase, dt = self._bump, self.phase, self._env.step_dt
+        travel = self._env.command_manager.get_term(self._name)
+        if not isinstance(travel, UniformVelocityTravelCommand):
+            message, expected = f"'{self._name}' does not measure how far the wheels roll", "a travel command"
+            raise ConfigError(message, key="velocity_command", expected=expected)
+        asked, rolled = travel.asked[:, 0], travel.rolled
+        way = asked.sign()
+        phase.masked_fill_((way != self._way) | ((phase == _OVER) & ~is_jumping), _FOLLOW)
+        self._way.copy_(way)
+        self._ahead.sub_(way * rolled * dt)
+        self._waited.add_(dt).masked_fill_((phase != _FOLLOW) | (way == 0.0), 0.0)
+        is_slow = (way * rolled < bump.stopped_share * way * self._speed) & (self._waited > bump.wait_s)
+        self._slow.add_(dt).masked_fill_(~is_slow, 0.0)
+        bumped = self._slow >= bump.stopped_s
+        self._ahead.masked_fill_(bumped, 0.0)
+        phase.masked_fill_(bumped, _BACK)
+        phase.masked_fill_((phase == _BACK) & (self._ahead >= bump.back), _RUN_UP)
+        jumps = (phase == _RUN_UP) & (self._ahead <= bump.before_s * bump.run_up)
+        phase.masked_fill_(jumps, _OVER)
+        wanted = torch.where(phase == _FOLLOW, asked, way * bump.run_up)
+        change = torch.where(phase == _BACK, -wanted, wanted) - self._speed
+        self._speed.add_(change.clamp(-travel.fastest, travel.fastest))
+        travel.command[:, 0] = self._speed
+        return jumps
+
+
+def _is_possible(
+    window_s: float, resampling_time_range: PositiveInterval, trigger: str, velocity_command: str | None
+) -> Iterator[Broken]:
     shortest = resampling_time_range[0]
     if window_s >= shortest:
         yield Broken("window_s", "the robot would have to jump all the time", f"less than {shortest:g} s")
+    if trigger == "bump" and velocity_command is None:
+        yield Broken("velocity_command", "the robot must drive back and run up", "the name of a velocity command")
 
 
-@relation(_window_fits)
+@relation(_is_possible)
 class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
 
     A jump before a step starts if the terrain rises by more than ``rise`` from the base to the point that the base
-    reaches after ``ahead_s`` seconds at the commanded speed, also on a slope.
+    reaches after ``ahead_s`` seconds at the commanded speed, also on a slope. With ``trigger: bump``, the robot knows
+    nothing of the terrain, and jumps onto a step after its wheels were stopped by it.
 
     Args:
         window_s: time in which the robot must jump, s.
         rel_jumping_envs: share of draws with a jump.
-        velocity_command: name of the velocity command; null means no jumps before steps.
+        velocity_command: name of the velocity command, which must come first; null means no jumps before steps.
         ahead_s: time until the base reaches the point ahead, s.
         rise: smallest rise of the ground before which a jump is commanded, m.
+        trigger: ``step``: the terrain ahead starts a jump; ``bump``: stopped wheels.
+        bump: settings of the trigger ``bump``; missing ones are those of ``Bump``.
 
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
@@ -282,9 +362,15 @@ class JumpCommand(CommandTerm):
         velocity_command: str | None = None,
         ahead_s: Positive = 0.22,
         rise: Positive = 0.004,
+        trigger: Literal["step", "bump"] = "step",
+        bump: Mapping[_Bump, Positive] | None = None,
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
+        made = BumpTrigger(
+            env, velocity_command or "", Bump(**{str(key): value for key, value in (bump or {}).items()})
+        )
+        self.bump = self.child("bump", made if trigger == "bump" else None)
         self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
@@ -309,11 +395,18 @@ class JumpCommand(CommandTerm):
         self.time_left.masked_fill_(where, self.window_s)
         self._command.masked_fill_(where.unsqueeze(1), 1.0)
 
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        if self.bump is not None:
+            self.bump.reset_rows(env_ids)
+        return super().finish_episode(env_ids)
+
     def may_expire(self, dt: float) -> bool:
         return may_be_due(self.time_left, self.window_s, dt)
 
     def post_process(self) -> None:
-        if self._velocity_command is not None:
+        if self.bump is not None:
+            self.start(self.bump.step(self._command[:, 0] > 0.0))
+        elif self._velocity_command is not None:
             data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
             way = self._env.command_manager.get_command(self._velocity_command)[:, :1] * self._ahead_s
             forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)

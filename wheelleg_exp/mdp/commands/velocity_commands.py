@@ -222,10 +222,20 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._fastest = torch.tensor(most, device=env.device) * env.step_dt
         self._most = torch.tensor([max_travel_error, max_heading_error], device=env.device)
 
+    @property
+    def fastest(self) -> float:
+        """Largest change of the commanded speed in a control step, m/s."""
+        return float(self._fastest[0])
+
+    @property
+    def rolled(self) -> torch.Tensor:
+        """Speed at which the wheels roll, on average, m/s, (N,)."""
+        speeds: torch.Tensor = self._wheels.data.joint_vel[:, self._wheel_ids] * self._signs
+        return speeds.mean(dim=1) * self._radius
+
     def compute(self, dt: float) -> torch.Tensor:
-        rolled = (self._wheels.data.joint_vel[:, self._wheel_ids] * self._signs).mean(dim=1) * self._radius
         turned = self.robot.data.root_ang_vel_measured[:, 2]
-        missed = torch.stack((rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
+        missed = torch.stack((self.rolled - self._command[:, 0], turned - self._command[:, 2]), dim=1)
         self.travel_error.add_(missed * dt).clamp_(-self._most, self._most)
         return super().compute(dt)
 
