@@ -1,7 +1,9 @@
-"""Write the table of docs/robots.md and its pictures: ``python docs/make_robot_table.py DETAILS.json PIPELINE [...]``.
+"""Write the table of docs/robots.md and its pictures.
+
+    MUJOCO_GL=egl python docs/make_robot_table.py DETAILS PIPELINE [...]
 
 Each PIPELINE is the folder of ``wheelleg train pipeline=first_drive`` for one robot, ``runs/pipelines/<time>``.
-``DETAILS.json`` maps the name of a robot's config to its ``name``, ``file``, and ``source`` (repository and commit).
+DETAILS is a JSON file that maps the name of a robot's config to ``name``, ``file``, and ``source``.
 The rows are added to ``docs/tables/robots.json``, from which the table is written, also without arguments.
 """
 
@@ -12,10 +14,12 @@ import math
 import re
 import sys
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 from PIL import Image
 
 from wheelleg_exp.evaluation.lqr_balancer import Reference
@@ -58,10 +62,10 @@ def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
 def line_of(name: str, row: Mapping[str, Any]) -> str:
     """Return a row of the table; the reference's figures follow the policy's in brackets."""
 
-    def both(metric: str, scale: float = 1.0, digits: int = 2) -> str:
+    def both(metric: str, unit: str, scale: float = 1.0, digits: int = 2) -> str:
         made = [row[who].get(metric) for who in ("policy", "reference") if who in row]
-        texts = ["–" if value is None else f"{scale * value:.{digits}g}" for value in made]
-        return f"{texts[0]} ({texts[1]})" if len(texts) > 1 else "".join(texts) or "–"
+        texts = ["–" if value is None else f"{float(f'{scale * value:.{digits}g}'):g}{unit}" for value in made]
+        return f"{texts[0]} ({texts[1]})" if len(texts) > 1 else "".join(texts)
 
     speed = math.sqrt(9.81 * row["size"])
     survived = [row["policy"][f"{test}/survival"] for test in ("stand", "walk", "steps")] if "policy" in row else []
@@ -74,13 +78,13 @@ def line_of(name: str, row: Mapping[str, Any]) -> str:
         f"{row['iterations']}",
         "–" if row["minutes"] is None else f"{row['minutes']:.0f}",
         f"{100 * min(survived):.3g} %" if survived else row["why"],
-        f"{both('stand/drift', 1e3)} mm",
-        f"{both('walk/commandable_area', 100, 3)} %",
-        f"{both('walk/error_vx_steady', 1e3)} mm/s",
-        f"{both('push/limit_worst_0s', 1 / speed)} √(g·h)",
-        f"{both('robust/margin/delay', 1e3)} ms",
-        f"{both('robust/margin/slope', 180 / math.pi)}°",
-        f"{both('robust/margin/payload', 100 / row['mass'])} %",
+        both("stand/drift", " mm", 1e3),
+        both("walk/commandable_area", " %", 100, 3),
+        both("walk/error_vx_steady", " mm/s", 1e3),
+        both("push/limit_worst_0s", " √(g·h)", 1 / speed),
+        both("robust/margin/delay", " ms", 1e3),
+        both("robust/margin/slope", "°", 180 / math.pi),
+        both("robust/margin/payload", " %", 100 / row["mass"]),
     ]
     return f"| {' | '.join(cells)} |\n"
 
@@ -112,6 +116,10 @@ def picture(run: RunDirectory, to: Path) -> None:
     camera.distance, camera.azimuth, camera.elevation = 1.7 * extent + 0.05, 145, -18
     options = mujoco.MjvOption()
     options.geomgroup[:] = [1, 1, 1, 1, 0, 0]
+    looks = model.geom_group < 3
+    model.geom_rgba[~looks & np.isin(model.geom_bodyid, model.geom_bodyid[looks]), 3] = (
+        0.0  # Hide colliders behind looks.
+    )
     with mujoco.Renderer(model, 2 * TILE, 2 * TILE) as renderer:
         renderer.update_scene(data, camera, options)
         image = Image.fromarray(renderer.render()).resize((TILE, TILE), Image.Resampling.LANCZOS)
@@ -128,11 +136,12 @@ def main(words: list[str]) -> None:
         started = [phase for phase in index.phases if phase["run"]]
         run = RunDirectory(Path(index.run_of(started[-1]) or word))
         name = run_config.load_params(run)[0]["robot"]["profile"]
-        took = parse_utc(str(started[-1]["ended"])) - parse_utc(index.data["started"])
         finished = index.phases[-1]["status"] == "passed"
+        is_whole = index.data["status"] == "finished" and not index.data["resumes"]
+        took = parse_utc(str(started[-1]["ended"])) - parse_utc(index.data["started"]) if is_whole else timedelta()
         rows[name] = {
             **row_of(run, details),
-            "minutes": took.total_seconds() / 60 if finished and index.data["status"] == "finished" else None,
+            "minutes": took.total_seconds() / 60 or None,
             "iterations": " + ".join(str(phase["trained"]) for phase in index.phases),
             "why": None if finished else f"gate of {started[-1]['name']}: {'; '.join(started[-1]['gates'][-1]['why'])}",
         }

@@ -51,11 +51,13 @@ def test_a_run_versus_a_copy_and_the_reference(run, tmp_path):
 
 def test_several_runs_share_one_table(run, tmp_path):
     other = shutil.copytree(run.path, tmp_path / "other")
-    out = succeed("evaluate", run.path, other, *SHORT, "--metric", "*/survival", "--metric", "stand/drift").out
+    out = succeed("evaluate", run.path, other, *SHORT, "--metric", "*/survival", "--metric", "*/time_*").out
     assert [word for word in ("run 1: ", "run 2: other") if word not in out] == []
     survival = next(line for line in out.splitlines() if line.startswith("stand/survival "))
     assert survival.split()[1:3] == ["0", "0"]
-    assert [line.split()[0] for line in out.splitlines() if line.startswith("stand/")] == ["stand/survival"]
+    names = [line.split()[0] for line in out.splitlines() if line.startswith("stand/")]
+    assert names == ["stand/survival", "stand/time_to_failure"]
+    assert "survivl: no metric matches this" in refused("evaluate", run.path, *SHORT, "--metric", "*/survivl")
 
 
 @pytest.mark.parametrize("words", [["--against", "nosuch"], ["nosuch"], ["--checkpoint", "77"]])

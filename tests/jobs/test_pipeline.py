@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import re
@@ -298,11 +299,12 @@ def test_the_phases_of_a_first_drive_fit_together_and_its_protocols_have_its_met
 def test_a_pipeline_in_a_project_with_robots_trains_another_robot_only_on_request(tmp_path):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "mine.yaml").touch()
-    _, phases = train.composed_phases(["pipeline=first_drive"], [])
-    with pytest.raises(ConfigError, match="phase 'walk' trains the robot 'article'; expected robot=mine; or robot=art"):
-        train._require_own_robot(phases, ["seed=1"], [tmp_path])
-    train._require_own_robot(phases, ["robot=article"], [tmp_path])
-    train._require_own_robot(phases, [], [])
+    pipeline, phases = train.composed_phases(["pipeline=first_drive"], [])
+    args = argparse.Namespace(overrides=["seed=1"], config_dirs=[tmp_path])
+    with pytest.raises(ConfigError, match=r"phase 'walk' trains the robot 'article'.*expected robot=mine or robot=art"):
+        train._require_own_robot(pipeline, phases, args)
+    for changed in ({"overrides": ["robot=article"]}, {"config_dirs": []}):
+        train._require_own_robot(pipeline, phases, argparse.Namespace(**{**vars(args), **changed}))
 
 
 def test_the_phases_of_the_stock_pipeline_fit_together_with_realism():

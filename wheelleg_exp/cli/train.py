@@ -297,7 +297,7 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
 
     overrides = [word for word in args.overrides if not names_pipeline(word)]
     pipeline, phases = composed_phases(args.overrides, args.config_dirs)
-    _require_own_robot(phases, overrides, args.config_dirs)
+    _require_own_robot(pipeline, phases, args)
     stop.check()
 
     from wheelleg_exp.config.composing.compose_sweep import digest_of
@@ -313,14 +313,15 @@ def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:
     return _run_pipeline(args, index, pipeline, stop)
 
 
-def _require_own_robot(phases: Mapping[str, Composed], overrides: Sequence[str], config_dirs: Sequence[Path]) -> None:
-    """Raise ConfigError if the user's project has robots, and a phase trains another one without being told to."""
-    own = {file.stem for folder in config_dirs for file in (folder / "robot").glob("*.yaml")}
+def _require_own_robot(pipeline: PipelineSettings, phases: Mapping[str, Composed], args: argparse.Namespace) -> None:
+    """Raise ConfigError if the user's project has robots, and a phase trains another one that nobody named."""
+    own = sorted({file.stem for folder in args.config_dirs for file in (folder / "robot").glob("*.yaml")})
     for name, composed in phases.items():
-        robot = composed.config["env"]["robot"]["profile"]
-        if own and robot not in own and not any(word.startswith("robot=") for word in overrides):
-            message, expected = f"phase '{name}' trains the robot '{robot}'", " or ".join(f"robot={one}" for one in own)
-            raise ConfigError(message, key="robot", expected=f"{expected}; or robot={robot}, to train it anyway")
+        robot, words = composed.config["env"]["robot"]["profile"], [*args.overrides, *pipeline.phases[name].overrides]
+        if own and robot not in own and not any(word.startswith("robot=") for word in words):
+            message = f"phase '{name}' trains the robot '{robot}', which is not a robot of this project"
+            expected = " or ".join(f"robot={one}" for one in [*own, robot])
+            raise ConfigError(message, key="robot", expected=expected)
 
 
 def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[PipelineSettings, dict[str, Composed]]:
@@ -357,7 +358,7 @@ def resume_pipeline(args: argparse.Namespace, folder: Path, stop: StopRequest) -
 def _present(run: Path, film: Path, pipeline: PipelineSettings, config_dirs: Sequence[str]) -> list[str]:
     """Evaluate, film, export, and describe the last policy of a pipeline with the commands that a user would type.
 
-    Return what failed: commands, or the robot in the film. Raise Interrupted if a command was interrupted.
+    Return the failed commands, and a message if the robot falls in the film. Raise Interrupted if one was interrupted.
     """
     words = [word for folder in config_dirs for word in ("--config-dir", folder)]
     words += [word for pattern in pipeline.tree.get("figures", []) for word in ("--metric", pattern)]
@@ -367,7 +368,7 @@ def _present(run: Path, film: Path, pipeline: PipelineSettings, config_dirs: Seq
     ]
     for recording in sorted((run / "play").glob("*/recording.rrd"))[-1:]:
         failed += _command("inspect", str(recording), "--video", str(film))
-        if read_json(recording.with_name("figures.json"))["survival"] < 1.0:
+        if read_json(recording.with_name("figures.json")).get("survival") == 0.0:
             failed.append(f"the robot falls in the film: {shown(film)}")
     return [*failed, *_command("export", str(run)), *_command("report", str(run))]
 

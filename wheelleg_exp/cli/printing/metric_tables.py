@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from wheelleg_exp.cli.printing.terminal import hanging, print_table, shown, tool
 from wheelleg_exp.definitions import CONTACTS, MOTION, percent, rollout_label
+from wheelleg_exp.errors import WheellegError, nearest_name
 
 if TYPE_CHECKING:
     from wheelleg_exp.evaluation.method_comparison import Difference
@@ -108,8 +109,16 @@ def _degrees(value: float) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
-def _is_wanted(name: str, only: Sequence[str]) -> bool:
-    return not only or any(fnmatchcase(name, pattern) for pattern in only)
+def wanted(names: Iterable[str], only: Sequence[str]) -> list[str]:
+    """Return the names of metrics that match one of the patterns ``only``, or all names if there are no patterns.
+
+    Raise WheellegError for a pattern that matches nothing.
+    """
+    names = list(names)
+    for pattern in only:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise WheellegError("no metric matches this", key=pattern, nearest=nearest_name(pattern, names))
+    return [name for name in names if not only or any(fnmatchcase(name, pattern) for pattern in only)]
 
 
 def print_evaluation(content: Mapping[str, Any], only: Sequence[str] = ()) -> None:
@@ -121,8 +130,7 @@ def print_evaluation(content: Mapping[str, Any], only: Sequence[str] = ()) -> No
     dt, step = about.get("physics_dt_s"), about.get("step_dt_s")
     print(f"protocol {protocol['name']}, seed {content['seed']}, scenarios {content['scenarios_sha256'][:12]}")
     print(f"robot profile {about.get('profile')}, {about.get('engine')}, physics step {dt:.6g} s, control {step:.6g} s")
-    wanted = (name for name in content["metrics"] if _is_wanted(name, only))
-    for group, found in groupby(wanted, lambda name: name.split("/")[0]):
+    for group, found in groupby(wanted(content["metrics"], only), lambda name: name.split("/")[0]):
         print()
         names = list(found)
         rows = [_row(name, content["metrics"][name]) for name in names if content["metrics"][name]["episodes"]]
@@ -157,7 +165,8 @@ def print_comparison(
     columns += ["mean", "95 % interval", "noise floor"] if several else []
     columns += ["reference"] if reference is not None else []
     rows, unmeasured = [], []
-    for row in (row for row in made.seeds if _is_wanted(row.metric, only)):
+    shown_names = set(wanted((row.metric for row in made.seeds), only))
+    for row in (row for row in made.seeds if row.metric in shown_names):
         factor, unit = _scale(row.unit)
         cells = [_number(value, factor) for value in row.values]
         if several:
@@ -178,7 +187,7 @@ def print_comparison(
 
 def print_differences(made: Compared, only: Sequence[str] = ()) -> None:
     """For each metric, print the difference between two groups of runs, and a sentence that names the better group."""
-    found = (row for row in made.differences if _is_wanted(row.metric, only))
+    found = (row for row in made.differences if not only or any(fnmatchcase(row.metric, pattern) for pattern in only))
     rows = [_difference(row) for row in found if row.better and math.isfinite(row.interval.value)]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)

@@ -262,8 +262,9 @@ class Bump:
     Attributes:
         stopped_share: wheels have stopped if they are slower than this share of the commanded speed.
         stopped_s: time for which they must be so slow, s.
-        wait_s: time after a start or a jump in which slow wheels do not count, s, because the robot must accelerate.
-        back: way back, m: at least run_up²/a to turn around and accelerate by a, plus the way of one second.
+        wait_s: time at a constant command, without a jump, before slow wheels count, s.
+        back: distance from the step at which the robot turns around, m; more than run_up²/(2a), if a is the limit on
+            the command's change. 0.35 m is about one second at 0.3 m/s.
         run_up: speed before the jump, m/s; one at which the policy learned to jump.
         before_s: time between the jump's command and the step, s; depends on the policy.
     """
@@ -273,7 +274,7 @@ class Bump:
     wait_s: float = 1.0
     back: float = 0.35
     run_up: float = 0.3
-    before_s: float = 0.09
+    before_s: float = 0.11
 
 
 class BumpTrigger(Stateful):
@@ -288,7 +289,7 @@ class BumpTrigger(Stateful):
         zeros = torch.zeros(env.num_envs, device=env.device)
         self.phase = self.buffer("phase", zeros.long(), fill=_FOLLOW)
         self._way = self.buffer("_way", zeros.clone(), fill=0.0)  # 1 forwards, -1 backwards, 0 standing
-        self._waited = self.buffer("_waited", zeros.clone(), fill=0.0)  # s in ``_FOLLOW``
+        self._waited = self.buffer("_waited", zeros.clone(), fill=0.0)  # s at a constant command
         self._slow = self.buffer("_slow", zeros.clone(), fill=0.0)  # s with slow wheels
         self._ahead = self.buffer("_ahead", zeros.clone(), fill=0.0)  # m to the place of the bump
         self._speed = self.buffer("_speed", zeros.clone(), fill=0.0)  # commanded, m/s
@@ -298,27 +299,35 @@ class BumpTrigger(Stateful):
         bump, phase, dt = self._bump, self.phase, self._env.step_dt
         travel = self._env.command_manager.get_term(self._name)
         if not isinstance(travel, UniformVelocityTravelCommand):
-            message, expected = f"'{self._name}' does not measure how far the wheels roll", "a travel command"
+            message = f"the command '{self._name}' does not measure how far the wheels roll"
+            expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand, before this one"
             raise ConfigError(message, key="velocity_command", expected=expected)
         asked, rolled = travel.asked[:, 0], travel.rolled
         way = asked.sign()
         phase.masked_fill_((way != self._way) | ((phase == _OVER) & ~is_jumping), _FOLLOW)
         self._way.copy_(way)
         self._ahead.sub_(way * rolled * dt)
-        self._waited.add_(dt).masked_fill_((phase != _FOLLOW) | (way == 0.0), 0.0)
-        is_slow = (way * rolled < bump.stopped_share * way * self._speed) & (self._waited > bump.wait_s)
+        # Wheels that follow a changing command, or that are in the air, are slow, too.
+        is_steady = ((self._wanted(asked) - self._speed).abs() < 1e-6) & ~is_jumping & (phase != _OVER) & (way != 0.0)
+        self._waited.add_(dt).masked_fill_(~is_steady, 0.0)
+        is_slow = (self._speed.sign() * rolled < bump.stopped_share * self._speed.abs()) & (self._waited > bump.wait_s)
         self._slow.add_(dt).masked_fill_(~is_slow, 0.0)
         bumped = self._slow >= bump.stopped_s
-        self._ahead.masked_fill_(bumped, 0.0)
+        self._ahead.masked_fill_(bumped & (phase != _BACK), 0.0)
+        is_far = (phase == _BACK) & (bumped | (self._ahead >= bump.back))  # or something is behind the robot
         phase.masked_fill_(bumped, _BACK)
-        phase.masked_fill_((phase == _BACK) & (self._ahead >= bump.back), _RUN_UP)
-        jumps = (phase == _RUN_UP) & (self._ahead <= bump.before_s * bump.run_up)
+        phase.masked_fill_(is_far, _RUN_UP)
+        jumps = (phase == _RUN_UP) & (self._ahead <= bump.before_s * bump.run_up) & ~is_jumping
         phase.masked_fill_(jumps, _OVER)
-        wanted = torch.where(phase == _FOLLOW, asked, way * bump.run_up)
-        change = torch.where(phase == _BACK, -wanted, wanted) - self._speed
-        self._speed.add_(change.clamp(-travel.fastest, travel.fastest))
+        self._speed.add_((self._wanted(asked) - self._speed).clamp(-travel.fastest, travel.fastest))
         travel.command[:, 0] = self._speed
+        travel.command[:, 2].masked_fill_(phase != _FOLLOW, 0.0)  # straight back, and straight to the step
         return jumps
+
+    def _wanted(self, asked: torch.Tensor) -> torch.Tensor:
+        """Return the speed of the present phase, m/s, (N,); ``asked`` is the speed that the user commands."""
+        run_up = asked.sign() * self._bump.run_up
+        return torch.where(self.phase == _FOLLOW, asked, torch.where(self.phase == _BACK, -run_up, run_up))
 
 
 def _is_possible(
@@ -328,7 +337,8 @@ def _is_possible(
     if window_s >= shortest:
         yield Broken("window_s", "the robot would have to jump all the time", f"less than {shortest:g} s")
     if trigger == "bump" and velocity_command is None:
-        yield Broken("velocity_command", "the robot must drive back and run up", "the name of a velocity command")
+        message = "a robot that jumps after a bump must drive back and run up"
+        yield Broken("velocity_command", message, "the name of a velocity command")
 
 
 @relation(_is_possible)
@@ -336,13 +346,13 @@ class JumpCommand(CommandTerm):
     """Commands a jump in the last ``window_s`` seconds before the next draw, and before steps up. Not in Isaac Lab.
 
     A jump before a step starts if the terrain rises by more than ``rise`` from the base to the point that the base
-    reaches after ``ahead_s`` seconds at the commanded speed, also on a slope. With ``trigger: bump``, the robot knows
-    nothing of the terrain, and jumps onto a step after its wheels were stopped by it.
+    reaches after ``ahead_s`` seconds at the commanded speed, also on a slope. With ``trigger: bump``, the robot does
+    not know the terrain: a step stops its wheels, and the robot then jumps onto it.
 
     Args:
         window_s: time in which the robot must jump, s.
         rel_jumping_envs: share of draws with a jump.
-        velocity_command: name of the velocity command, which must come first; null means no jumps before steps.
+        velocity_command: name of a velocity command before this one; null means no jumps before steps.
         ahead_s: time until the base reaches the point ahead, s.
         rise: smallest rise of the ground before which a jump is commanded, m.
         trigger: ``step``: the terrain ahead starts a jump; ``bump``: stopped wheels.
@@ -367,10 +377,9 @@ class JumpCommand(CommandTerm):
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
-        made = BumpTrigger(
-            env, velocity_command or "", Bump(**{str(key): value for key, value in (bump or {}).items()})
-        )
-        self.bump = self.child("bump", made if trigger == "bump" else None)
+        settings = Bump(**{str(key): value for key, value in (bump or {}).items()})
+        is_bump = trigger == "bump"
+        self.bump = self.child("bump", BumpTrigger(env, velocity_command or "", settings) if is_bump else None)
         self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)

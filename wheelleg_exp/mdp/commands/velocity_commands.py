@@ -186,6 +186,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
 
     Attributes:
         max_acceleration: largest change of each component, m/s², m/s², rad/s²; None means unlimited.
+        fastest: largest change of the commanded speed in a control step, m/s.
         travel_error: travelled minus commanded distance, m, and turned minus commanded angle, rad, (N, 2).
         wheel_signs: for each wheel 1 if positive speed rolls forwards, else -1.
     """
@@ -220,12 +221,8 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self.max_acceleration = (max_lin_acceleration, max_lin_acceleration, max_ang_acceleration)
         most = [math.inf if limit is None else limit for limit in self.max_acceleration]
         self._fastest = torch.tensor(most, device=env.device) * env.step_dt
+        self.fastest = most[0] * env.step_dt
         self._most = torch.tensor([max_travel_error, max_heading_error], device=env.device)
-
-    @property
-    def fastest(self) -> float:
-        """Largest change of the commanded speed in a control step, m/s."""
-        return float(self._fastest[0])
 
     @property
     def rolled(self) -> torch.Tensor:
