@@ -22,6 +22,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from images.make_robots import drawn, scene
 from PIL import Image
 
 from wheelleg_exp.evaluation.lqr_balancer import Reference
@@ -100,15 +101,7 @@ def line_of(name: str, row: Mapping[str, Any]) -> str:
 def picture(run: RunDirectory, to: Path) -> None:
     """Draw the robot of a run in its default pose, from the front left."""
     robot = run_config.load_params(run)[0]["robot"]
-    spec = mujoco.MjSpec.from_file(str(run.asset / "robot.xml"))
-    spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        width=64, height=384, rgb1=[0.97, 0.98, 1.0], rgb2=[0.80, 0.86, 0.93],
-    )  # fmt: skip
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.5] * 3
-    spec.visual.global_.offwidth = spec.visual.global_.offheight = 2 * TILE
-    model = spec.compile()
-    data = mujoco.MjData(model)
+    model, data = scene(run.asset / "robot.xml")
     for joint in range(model.njnt):
         name, at = model.joint(joint).name, model.jnt_qposadr[joint]
         values = [v for key, v in robot["init_state"]["joint_pos"].items() if re.fullmatch(key, name)]
@@ -117,20 +110,9 @@ def picture(run: RunDirectory, to: Path) -> None:
         elif values:
             data.qpos[at] = values[0]
     mujoco.mj_forward(model, data)
-    places = data.xpos[1:]
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = (places.min(axis=0) + places.max(axis=0)) / 2
-    extent = float(((places.max(axis=0) - places.min(axis=0)) ** 2).sum() ** 0.5)
-    camera.distance, camera.azimuth, camera.elevation = 1.7 * extent + 0.05, 145, -18
-    options = mujoco.MjvOption()
-    options.geomgroup[:] = [1, 1, 1, 1, 0, 0]
-    looks = model.geom_group < 3
-    model.geom_rgba[~looks & np.isin(model.geom_bodyid, model.geom_bodyid[looks]), 3] = (
-        0.0  # Hide colliders behind looks.
-    )
-    with mujoco.Renderer(model, 2 * TILE, 2 * TILE) as renderer:
-        renderer.update_scene(data, camera, options)
-        image = Image.fromarray(renderer.render()).resize((TILE, TILE), Image.Resampling.LANCZOS)
+    looks = model.geom_group < 3  # They hide the colliders of the same body.
+    model.geom_rgba[~looks & np.isin(model.geom_bodyid, model.geom_bodyid[looks]), 3] = 0.0
+    image = drawn(model, data).resize((TILE, TILE), Image.Resampling.LANCZOS)
     to.parent.mkdir(exist_ok=True)
     image.quantize(64).save(to, optimize=True)
 

@@ -40,7 +40,11 @@ def scene(mjcf: Path) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 def picture(mjcf: Path) -> Image.Image:
     """Return one robot, its visuals and what collides, from the front left."""
-    model, data = scene(mjcf)
+    return drawn(*scene(mjcf))
+
+
+def drawn(model: mujoco.MjModel, data: mujoco.MjData) -> Image.Image:
+    """Return a picture of a robot in the pose of ``data``, from the front left."""
     boxes = [data.xpos[i] for i in range(1, model.nbody)]
     low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
     camera = mujoco.MjvCamera()

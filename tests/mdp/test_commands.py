@@ -388,16 +388,7 @@ def _bump_env(start_env):
 def test_a_bump_sends_the_robot_back_then_to_a_jump_before_the_same_place(start_env, monkeypatch):
     place, rolled = torch.zeros(2), torch.zeros(2)
     monkeypatch.setattr(UniformVelocityTravelCommand, "rolled", property(lambda _: rolled))
-    drive = {"_target_": C + "UniformVelocityTravelCommand", **_travel_node(max_lin_acceleration=3.0)}
-    drive |= {"ranges": {"lin_vel_x": [0.2, 0.2]}, "resampling_time_range": [99.0, 99.0]}
-    jump = {"_target_": C + "JumpCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, "trigger": "bump"}
-    jump |= {
-        "resampling_time_range": [99.0, 99.0],
-        "window_s": 0.5,
-        "bump": {"back": 0.4, "run_up": 0.5, "wait_s": 0.3},
-    }
-    env = start_env(commands={"drive": drive, "jump": jump}, num_envs=2)
-    travel, term = env.command_manager.get_term("drive"), env.command_manager.get_term("jump")
+    env, travel, term = _bump_env(start_env)
     dt, way, stops, jumped = env.step_dt, [], [], []
     for _ in range(round(6.0 / dt)):
         if way and way[-1] < 0.0:

@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--engine", metavar="NAME", help=text)
     text = "evaluate with each of two engines, and compare them in pairs of episodes: mujoco,physx"
     parser.add_argument("--engines", metavar="NAME,NAME", help=text)
-    text = "print only the metrics that match a pattern, such as '*/survival'; repeatable"
+    text = "print only the metrics that match a pattern, such as '*/survival'; repeatable; --json contains all"
     parser.add_argument("--metric", metavar="PATTERN", action="append", default=[], help=text)
     add_stored(parser)
     add_config_dir(parser)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
@@ -109,15 +109,15 @@ def _degrees(value: float) -> str:
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 
 
-def wanted(names: Iterable[str], only: Sequence[str]) -> list[str]:
+def wanted(names: Sequence[str], only: Sequence[str]) -> list[str]:
     """Return the names of metrics that match one of the patterns ``only``, or all names if there are no patterns.
 
     Raise WheellegError for a pattern that matches nothing.
     """
-    names = list(names)
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise WheellegError("no metric matches this", key=pattern, nearest=nearest_name(pattern, names))
+            expected, nearest = "the name of a metric, or a pattern such as '*/survival'", nearest_name(pattern, names)
+            raise WheellegError("no metric matches this", key=pattern, expected=expected, nearest=nearest)
     return [name for name in names if not only or any(fnmatchcase(name, pattern) for pattern in only)]
 
 
@@ -130,7 +130,7 @@ def print_evaluation(content: Mapping[str, Any], only: Sequence[str] = ()) -> No
     dt, step = about.get("physics_dt_s"), about.get("step_dt_s")
     print(f"protocol {protocol['name']}, seed {content['seed']}, scenarios {content['scenarios_sha256'][:12]}")
     print(f"robot profile {about.get('profile')}, {about.get('engine')}, physics step {dt:.6g} s, control {step:.6g} s")
-    for group, found in groupby(wanted(content["metrics"], only), lambda name: name.split("/")[0]):
+    for group, found in groupby(wanted(list(content["metrics"]), only), lambda name: name.split("/")[0]):
         print()
         names = list(found)
         rows = [_row(name, content["metrics"][name]) for name in names if content["metrics"][name]["episodes"]]
@@ -165,8 +165,8 @@ def print_comparison(
     columns += ["mean", "95 % interval", "noise floor"] if several else []
     columns += ["reference"] if reference is not None else []
     rows, unmeasured = [], []
-    shown_names = set(wanted((row.metric for row in made.seeds), only))
-    for row in (row for row in made.seeds if row.metric in shown_names):
+    names = wanted([row.metric for row in made.seeds], only)
+    for row in (row for row in made.seeds if row.metric in names):
         factor, unit = _scale(row.unit)
         cells = [_number(value, factor) for value in row.values]
         if several:
@@ -187,8 +187,9 @@ def print_comparison(
 
 def print_differences(made: Compared, only: Sequence[str] = ()) -> None:
     """For each metric, print the difference between two groups of runs, and a sentence that names the better group."""
-    found = (row for row in made.differences if not only or any(fnmatchcase(row.metric, pattern) for pattern in only))
-    rows = [_difference(row) for row in found if row.better and math.isfinite(row.interval.value)]
+    names = wanted([row.metric for row in made.seeds], only)
+    found = (row for row in made.differences if row.metric in names and row.better)
+    rows = [_difference(row) for row in found if math.isfinite(row.interval.value)]
     print()
     print_table(("metric", "unit", "these", "those", "difference", "95 % interval", "test", "p", "is"), rows)
     print(hanging("p: two-sided, paired if episodes have equal starts, corrected for all tests (Holm)", 0))

@@ -308,7 +308,7 @@ class BumpTrigger(Stateful):
         self._way.copy_(way)
         self._ahead.sub_(way * rolled * dt)
         # Wheels that follow a changing command, or that are in the air, are slow, too.
-        is_steady = ((self._wanted(asked) - self._speed).abs() < 1e-6) & ~is_jumping & (phase != _OVER) & (way != 0.0)
+        is_steady = ((self._wanted(asked) - self._speed).abs() < 1e-6) & ~is_jumping & (way != 0.0)
         self._waited.add_(dt).masked_fill_(~is_steady, 0.0)
         is_slow = (self._speed.sign() * rolled < bump.stopped_share * self._speed.abs()) & (self._waited > bump.wait_s)
         self._slow.add_(dt).masked_fill_(~is_slow, 0.0)
