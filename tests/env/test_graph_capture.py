@@ -9,6 +9,7 @@ from env.tape import make_env
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.env.graph_capture import CapturedPart, CudaGraph
 from wheelleg_exp.errors import SimulationFailure
+from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 pytestmark = pytest.mark.slow
 
@@ -272,3 +273,14 @@ def test_a_capture_restores_the_stream_and_a_failed_one_raises_the_error_of_the_
         CudaGraph([]).record(work)
     assert "not permitted" in str(caught.value.__cause__)
     assert streams[-1] == "the step's"
+
+
+def test_observations_that_a_training_keeps_outlive_the_next_step():
+    adapter = RslRlVecEnv(make_env("walk", captured=True))
+    actions = random_actions(adapter.env, 6)
+    for action in actions[:5]:
+        adapter.step(action)
+    seen = adapter.get_observations()
+    before = seen["policy"].clone()
+    adapter.step(actions[5])
+    assert torch.equal(seen["policy"], before)

@@ -42,7 +42,8 @@ class RslRlVecEnv(VecEnv):
 
     def get_observations(self) -> TensorDict:
         """Return the last observations without drawing random numbers or changing the environment's state."""
-        return self._as_tensordict(self.env.observation_manager.obs_buf)
+        # A copy, because with CUDA graphs the next step overwrites the memory of the observations.
+        return self._as_tensordict(self.env.observation_manager.obs_buf).clone()
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, object]]:
         """Apply the actions (N, A) of one control step; return observations, rewards (N,), dones (N,), and extras.
