@@ -38,7 +38,7 @@ def is_plain_ppo(algorithm: PPO | Distillation) -> bool:
     symmetry = algorithm.symmetry
     extras = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_mirror_loss_only(symmetry))
     networks = (algorithm.actor, algorithm.critic)
-    others = any(type(network).forward is not MLPModel.forward for network in networks)
+    others = any(network.is_recurrent or type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
     return not (extras or others or compiled)
 
