@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -11,6 +13,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.network_loading import Initial
 from wheelleg_exp.state import cloned
 
+DEVICE = os.environ.get("WHEELLEG_TEST_DEVICE", "cpu")
 NORMALISED = ("agent.actor.obs_normalization=true", "agent.critic.obs_normalization=true")
 KL = "+agent.initial_kl={weight: 1.0, except_while: velocity_commands}"
 
@@ -32,6 +35,7 @@ def initial(source):
 @pytest.mark.parametrize("changes", [(), ("agent=ppo_mirror_loss", KL)])  # rsl_rl's update, and that of CapturedUpdate
 def test_a_warm_critic_leaves_the_policy_unchanged(make_trainer, initial, changes):
     words = ("+agent.warm_critic=2", "agent.algorithm.learning_rate=1e-5", "agent.average_iterations=3")
+    words += (f"agent.device={DEVICE}",)
     trainer = make_trainer(*changes, *NORMALISED, *words, initial=initial)
     actor, critic = (cloned(network.state_dict()) for network in trainer.networks())
     rates = [done.scalars["Loss/learning_rate"] for done in trainer.learn(until=2)]
@@ -45,6 +49,9 @@ def test_a_warm_critic_leaves_the_policy_unchanged(make_trainer, initial, change
     averaged = trainer.average.state_dict()["averaged_state_dict"]
     assert torch.equal(averaged["mlp.0.weight"], trainer.algorithm.actor.state_dict()["mlp.0.weight"])
     assert done.scalars["Loss/learning_rate"] != rates[0]  # the adaptive schedule
+    before = cloned(trainer.algorithm.actor.state_dict())
+    list(trainer.learn(until=4))  # On a GPU, this is the first captured update of the policy.
+    assert all(not torch.equal(trainer.algorithm.actor.state_dict()[name], before[name]) for name in before)
 
 
 def test_the_loss_is_the_kl_divergence_outside_the_excepted_samples(make_trainer, source, initial):
@@ -56,7 +63,9 @@ def test_the_loss_is_the_kl_divergence_outside_the_excepted_samples(make_trainer
             parameter.add_(0.01 * torch.randn_like(parameter)).abs_()
         actor.obs_normalizer._mean.add_(0.5)
     samples = torch.randn(8, 135)
-    samples[::2, trainer.env.env.observation_manager.term_slices("policy")["velocity_commands"]] = 0.0
+    commands = trainer.env.env.observation_manager.term_slices("policy")["velocity_commands"]
+    samples[::2, commands] = 0.0
+    samples[1, commands.start : commands.stop - 1] = 0.0  # One value that is not 0 excepts a sample.
     means, stds = [], []
     for network in (actor, source.algorithm.actor):
         normal = network.obs_normalizer
