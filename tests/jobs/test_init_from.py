@@ -18,6 +18,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 pytestmark = pytest.mark.train
 
 WORDS = ["task=stand", *TINY, "agent.save_interval=1", "recording.enabled=false", "agent.logger=null"]
+KL = "+agent.initial_kl={weight: 1.0, except_while: velocity_commands}"
 FROZEN = "agent.algorithm.learning_rate=1e-300"  # No float32 changes by so little.
 
 
@@ -31,7 +32,7 @@ def begun(trained: Trained, tmp_path_factory) -> RunDirectory:
     """Train four iterations that start with the networks of a copied run, which is removed afterwards."""
     root = tmp_path_factory.mktemp("begun")
     source = copied(trained, root / "sources")
-    run = train(root / "runs", source.path, "agent.max_iterations=4")
+    run = train(root / "runs", source.path, KL, "agent.max_iterations=4")
     shutil.rmtree(source.path)
     return run
 
@@ -112,7 +113,7 @@ def test_a_run_without_what_it_began_with_is_refused_by_name(begun: RunDirectory
 def test_it_resumes_to_the_bit_and_equal_networks_have_one_digest(begun, trained: Trained, tmp_path, monkeypatch):
     monkeypatch.setattr(circumstances, "_source_differences", lambda *_: [])
     source = copied(trained, tmp_path / "sources").path
-    run = train(tmp_path, source.rename(source.with_name("another")), "agent.max_iterations=2")
+    run = train(tmp_path, source.rename(source.with_name("another")), KL, "agent.max_iterations=2")
     assert run.manifest().data["init_from"]["kept_sha256"] == begun.manifest().data["init_from"]["kept_sha256"]
     said = succeed("resume", run.path, "agent.max_iterations=4")
     assert "not exact" not in said.out + said.err

@@ -49,11 +49,11 @@ def tiny_config() -> Callable[..., dict[str, Any]]:
 
 @pytest.fixture(scope="session")
 def make_trainer(mjcf: Path, tiny_config: Callable[..., dict[str, Any]]) -> MakeTrainer:
-    def make(*overrides: str, seed: int = 0, controller: Callable[[], torch.Tensor] | None = None) -> Trainer:
+    def make(*overrides: str, seed: int = 0, **more: Any) -> Trainer:
         config = tiny_config(*overrides)
         env = ManagerBasedRLEnv(config["env"], mjcf, seed)
         agent = read_agent(config["agent"])
-        return Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, controller=controller)
+        return Trainer(RslRlVecEnv(env, agent.clip_actions), agent, seed, **more)
 
     return make
 

@@ -96,6 +96,8 @@ def test_what_it_does_not_do_is_rsl_rls(make_trainer):
     assert not can_capture_update(trainer.algorithm)  # on a CPU
     assert not is_plain_ppo(make_trainer("agent.algorithm.optimizer=sgd").algorithm)
     assert not is_plain_ppo(make_trainer("agent=ppo_symmetry").algorithm)
+    words = ("agent.critic.class_name=RNNModel", "+agent.critic.rnn_type=gru", "+agent.critic.rnn_hidden_dim=8")
+    assert not is_plain_ppo(make_trainer(*words, "+agent.critic.rnn_num_layers=1").algorithm)
 
 
 # Each process updates one trainer with rsl_rl's update and another trainer with the captured update.

@@ -8,6 +8,7 @@ from env.crawler import Crawl, differing
 
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.rl import checkpoint, digests
+from wheelleg_exp.rl.network_loading import Initial
 
 from .conftest import saved, without_times
 
@@ -21,6 +22,12 @@ DERIVED = frozenset(
         *(".step_errors", ".robot.data.motion_at_start"),  # only used within a control step
         *(".robot._has_new_targets", ".action_manager._is_new"),  # set at the start of a control step
         *("._has_worked", ".form", "._part_forms", "._is_declared"),  # used in messages
+        *(
+            "._ppo.update._rows",
+            "._ppo.update._advantages",
+            "._ppo.update._rate",
+            "._ppo.update._sums",
+        ),  # set in each update
         *("._norms", "._largest_norm", "._counts", ".data._history"),
         *("._data", "._readings", "._pressures", "._normals"),
         *(".robot.data._cache", "._shows_outputs"),
@@ -38,14 +45,19 @@ RECURRENT = [word.format(f"agent.{role}") for role in ("actor", "critic") for wo
 KINDS = {"plain": [], "normalised": NORMALISED, "rnd": RND, "recurrent": RECURRENT}
 KINDS |= {name: [f"agent={name}"] for name in ("ppo_symmetry", "ppo_mirrored", "ppo_mirror_loss")}
 KINDS["averaged"] = ["agent.average_iterations=2"]
+KINDS["warm"] = ["+agent.warm_critic=2", "agent.average_iterations=2"]
+KINDS["initial"] = [*NORMALISED, "+agent.initial_kl={weight: 1.0, except_while: velocity_commands}"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_restored_trainer_has_the_same_values_everywhere(make_trainer, kind, tmp_path):
-    trainer = make_trainer(*KINDS[kind])
+    initial = None
+    if kind == "initial":
+        initial = Initial(make_trainer(*NORMALISED, seed=7).state_dict(), ("actor",), {})
+    trainer = make_trainer(*KINDS[kind], initial=initial)
     list(trainer.learn(until=2))
     path = saved(trainer.state_dict(), tmp_path)
-    other = make_trainer(*KINDS[kind], seed=5)
+    other = make_trainer(*KINDS[kind], seed=5, initial=initial)
     other.load_state_dict(checkpoint.load(path))
     assert differing(Crawl(trainer, DERIVED), Crawl(other, DERIVED)) == []
     after = []

@@ -26,7 +26,8 @@ from wheelleg_exp.user_exceptions import ending_as, in_words
 # `OWN_KEYS` are the keys of the config section `agent` that rsl_rl does not know.
 OWN_KEYS = (
     *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations", "warm_start"),
-    *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint"),
+    *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint", "warm_critic"),
+    "initial_kl",
 )
 
 

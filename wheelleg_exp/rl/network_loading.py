@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import Any
 import torch
 from rsl_rl.algorithms import PPO, Distillation
 from rsl_rl.models import MLPModel
+from tensordict import TensorDict
 
-from wheelleg_exp.errors import ConfigError, RunDirectoryError
+from wheelleg_exp.errors import ConfigError, RunDirectoryError, not_one_of
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
-from wheelleg_exp.rl.options import Learning
+from wheelleg_exp.rl.options import InitialKl, Learning
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 # The tensors whose columns are a network's inputs, and the value that a new input has.
@@ -66,6 +68,36 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
         message = f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}"
         expected = "networks, or the algorithm and the optimiser that it was trained with"
         raise ConfigError(message, key="init_from_what", expected=expected) from error
+
+
+class InitialPolicy:
+    """A copy of the policy of ``algorithm``, and the loss ``agent.initial_kl`` that keeps the policy near the copy."""
+
+    def __init__(self, algorithm: PPO, options: InitialKl, env: RslRlVecEnv) -> None:
+        self._actor = copy.deepcopy(algorithm.actor).requires_grad_(False).eval()
+        self.weight = options.weight
+        self._group = ""
+        if options.except_while is not None:
+            manager = env.env.observation_manager
+            # If both networks see the observation, use that of the actor, which is the last one.
+            groups = [*algorithm.critic.obs_groups, *algorithm.actor.obs_groups]
+            parts = {name: (group, found) for group in groups for name, found in manager.term_parts(group).items()}
+            if options.except_while not in parts:
+                key, message = "agent.initial_kl.except_while", "no network sees such an observation"
+                raise not_one_of(message, options.except_while, parts, key=key)
+            self._group, slices = parts[options.except_while]
+            columns = [column for part in slices for column in range(part.start, part.stop)]
+            self._columns = torch.tensor(columns, device=algorithm.device)
+
+    def loss(self, actor: MLPModel, observations: TensorDict) -> torch.Tensor:
+        """Return the mean KL(policy || initial policy) of samples (B, ...) after a forward pass of the policy."""
+        with torch.no_grad():
+            self._actor.distribution.update(self._actor.mlp(self._actor.get_latent(observations)))
+        now, first = actor.output_distribution_params, self._actor.output_distribution_params
+        divergence: torch.Tensor = actor.get_kl_divergence(now, first)
+        if self._group:
+            divergence = divergence * (observations[self._group][:, self._columns] == 0.0).all(dim=1)
+        return divergence.mean()
 
 
 def load_policy(path: Path, env: RslRlVecEnv, agent: Learning) -> MLPModel:

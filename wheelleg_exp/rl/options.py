@@ -37,6 +37,20 @@ class SymmetryOptions:
     mirrored_envs: bool = False
 
 
+@dataclass(frozen=True)
+class InitialKl:
+    """``agent.initial_kl``: a loss that keeps the policy near the policy of ``init_from``.
+
+    Attributes:
+        weight: factor on the mean Kullback-Leibler divergence KL(policy || initial policy), in nats.
+        except_while: name of an observation of a network. The loss of a sample is 0 while a value of the observation is
+            not 0. null means that the loss includes all samples.
+    """
+
+    weight: NonNegative
+    except_while: str | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Learning:
     """``agent``: what every algorithm of rsl_rl and the trainer read.
@@ -91,6 +105,9 @@ class Agent(Learning):
     Attributes:
         warm_start: number of rollouts before the first iteration in which the actor learns the actions of the reference
             controller. A training with ``init_from`` has none.
+        warm_critic: number of first iterations in which only the critic learns, at the learning rate 0.001. They do not
+            change the policy, its exploration noise, and its observation normalisation.
+        initial_kl: a loss that keeps the policy near its initial policy; null means no such loss.
     """
 
     roles: ClassVar = ("actor", "critic")
@@ -99,6 +116,8 @@ class Agent(Learning):
     critic: Parameters
     symmetry: SymmetryOptions | None = None
     warm_start: Natural = 0
+    warm_critic: Natural = 0
+    initial_kl: InitialKl | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,10 +18,12 @@ from rsl_rl.modules.distribution import GaussianDistribution
 from tensordict import TensorDict
 from torch import nn
 
+from wheelleg_exp.rl.network_loading import InitialPolicy
 from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # rsl_rl's name
+_INITIAL_LOSS = "initial_kl"
 # rsl_rl's adaptive learning rate has a lower and an upper bound, and changes by a constant factor.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
@@ -38,36 +40,37 @@ def is_plain_ppo(algorithm: PPO | Distillation) -> bool:
     symmetry = algorithm.symmetry
     extras = algorithm.rnd or algorithm.use_mixed_precision or not (symmetry is None or is_mirror_loss_only(symmetry))
     networks = (algorithm.actor, algorithm.critic)
-    others = any(type(network).forward is not MLPModel.forward for network in networks)
+    others = any(network.is_recurrent or type(network).forward is not MLPModel.forward for network in networks)
     compiled = algorithm.actor is not algorithm._raw_actor or algorithm.critic is not algorithm._raw_critic
     return not (extras or others or compiled)
 
 
 class CapturedPPO:
-    """Runs the acting and the policy update of rsl_rl's PPO as CUDA graphs."""
+    """Runs the acting and the update of rsl_rl's PPO, as CUDA graphs if ``captures``, with the loss of ``initial``."""
 
-    def __init__(self, algorithm: PPO) -> None:
-        self.update = CapturedUpdate(algorithm)
+    def __init__(self, algorithm: PPO, initial: InitialPolicy | None = None, *, captures: bool = True) -> None:
+        self.update = CapturedUpdate(algorithm, initial, captures=captures)
         # A CUDA graph draws actions only from a normal distribution; rsl_rl draws actions from other distributions.
         is_normal = getattr(type(algorithm.actor.distribution), "sample", None) is GaussianDistribution.sample
-        self.act = CapturedActing(algorithm) if is_normal else algorithm.act
+        self.act = CapturedActing(algorithm) if captures and is_normal else algorithm.act
 
 
 class CapturedUpdate:
     """Updates the networks of rsl_rl's PPO with the same results as ``PPO.update``.
 
-    The first update runs without a graph, and the second is captured. After each update, the optimizer's settings are
-    restored, so that rsl_rl can save and load it. A graph reads fixed addresses: if the address of a tensor changes,
-    for example when a checkpoint is loaded, a new graph is captured.
+    The first update runs without a graph, and the second is captured; likewise after a change of the networks that
+    learn (``agent.warm_critic``). The loss of the ``initial`` policy, if any, is added. After each update, the
+    optimizer's settings are restored, so that rsl_rl can save and load it. A graph reads fixed addresses: if the
+    address of a tensor changes, for example when a checkpoint is loaded, a new graph is captured.
     """
 
-    def __init__(self, algorithm: PPO) -> None:
-        self._algorithm = algorithm
+    def __init__(self, algorithm: PPO, initial: InitialPolicy | None = None, *, captures: bool = True) -> None:
+        self._algorithm, self._initial = algorithm, initial
         self._on_gpu = torch.device(algorithm.device).type == "cuda"
-        self._stream = torch.cuda.Stream(algorithm.device) if self._on_gpu else None
+        self._stream = torch.cuda.Stream(algorithm.device) if captures and self._on_gpu else None
         self._graph: Any = None
         self._captured: tuple[int, ...] = ()
-        self._ran = False
+        self._ran: list[bool] = []  # which of the actor's parameters learned in the last update
         storage = algorithm.storage
         rows = storage.num_envs * storage.num_transitions_per_env // algorithm.num_mini_batches
         self._rows = torch.zeros(rows, dtype=torch.long, device=algorithm.device)
@@ -76,13 +79,13 @@ class CapturedUpdate:
         symmetry = algorithm.symmetry
         # If ``use_mirror_loss`` is False, the mirror loss is only logged, and its weight is 0.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
-        self._losses = (*_LOSSES, _MIRROR_LOSS) if symmetry else _LOSSES
+        self._losses = (*_LOSSES, *([_MIRROR_LOSS] if symmetry else []), *([_INITIAL_LOSS] if initial else []))
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
 
     def __call__(self) -> dict[str, float]:
         """Update the policy and value networks, and return the mean losses by name."""
         algorithm, storage = self._algorithm, self._algorithm.storage
-        count = algorithm.num_mini_batches
+        count, learns = algorithm.num_mini_batches, [p.requires_grad for p in algorithm.actor.parameters()]
         order = torch.randperm(count * len(self._rows), device=algorithm.device).view(count, -1)
         self._advantages.copy_(storage.advantages)
         self._rate.fill_(algorithm.learning_rate)
@@ -100,7 +103,7 @@ class CapturedUpdate:
                     state["step"] = state["step"].to(parameter.device)
         if self._stream is None:
             self._each(order, self._minibatch)
-        elif self._ran:
+        elif self._ran == learns:
             if self._graph is None or self._captured != self._memory():
                 self._capture(order)
             self._each(order, self._graph.replay)
@@ -110,7 +113,7 @@ class CapturedUpdate:
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
             torch.cuda.current_stream().wait_stream(self._stream)
-            self._ran = True
+            self._ran, self._graph = learns, None
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
             # Update means and standard deviations of observations in place, because the CUDA graph reads them there.
@@ -188,6 +191,9 @@ class CapturedUpdate:
         if algorithm.symmetry:
             found = [mirror_loss(algorithm.symmetry, actor, observations)]
             loss = loss + self._mirror_weight * found[0]
+        if self._initial is not None:
+            found.append(self._initial.loss(actor, observations))
+            loss = loss + self._initial.weight * found[-1]
         algorithm.optimizer.zero_grad()
         loss.backward()
         if algorithm.is_multi_gpu:

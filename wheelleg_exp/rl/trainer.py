@@ -21,15 +21,17 @@ from wheelleg_exp.rl.algorithm import build_algorithm, mirrored_half
 from wheelleg_exp.rl.checkpoint import FORMAT_VERSION, load_unsaved_state, unsaved_state
 from wheelleg_exp.rl.determinism import no_global_draws, one_thread
 from wheelleg_exp.rl.matmul import bfloat16_products, chosen_matmul, tf32_products
-from wheelleg_exp.rl.network_loading import Initial, load_initial, load_teacher
+from wheelleg_exp.rl.network_loading import Initial, InitialPolicy, load_initial, load_teacher
 from wheelleg_exp.rl.options import Agent, Learning
 from wheelleg_exp.rl.policy_average import PolicyAverage
-from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update
+from wheelleg_exp.rl.ppo_graphs import CapturedPPO, can_capture_update, is_plain_ppo
 from wheelleg_exp.rl.ranks import ALONE, Ranks, communicating, is_communication, left
 from wheelleg_exp.rl.rollout_log import EpisodeLog, FailureCount, StepMeans
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.state import cloned
 from wheelleg_exp.user_exceptions import in_words, place
+
+_WARM_RATE = 1e-3  # learning rate before the policy learns with PPO
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ class Trainer:
         self.iteration = 0
         self._agent = agent
         self._controller = controller
-        self._warm_start = agent.warm_start if isinstance(agent, Agent) else 0
+        warm = (agent.warm_start, agent.warm_critic) if isinstance(agent, Agent) else (0, 0)
+        self._warm_start, self._warm_critic = warm
         torch.manual_seed(stream_seed(ranks.seed(seed), "agent"))
         self.algorithm = build_algorithm(env, agent, ranks)
         env.half = mirrored_half(env, agent)
@@ -85,7 +88,18 @@ class Trainer:
         self._matmul = chosen_matmul(agent)
         # CUDA graphs give the same actions and policy updates as rsl_rl's PPO.
         captures = agent.graph_update and can_capture_update(self.algorithm)
-        self._ppo: Any = CapturedPPO(self.algorithm) if captures else self.algorithm
+        self._ppo: Any = self.algorithm
+        if (policy := self._initial_policy(agent, initial)) or captures:
+            self._ppo = CapturedPPO(self.algorithm, policy, captures=captures)
+
+    def _initial_policy(self, agent: Learning, initial: Initial | None) -> InitialPolicy | None:
+        if not isinstance(agent, Agent) or agent.initial_kl is None:
+            return None
+        if initial is None or not is_plain_ppo(self.algorithm):
+            lacks = "has no initial policy" if initial is None else "uses an algorithm without this loss"
+            expected = "null, or init_from=RUN with rsl_rl's PPO, Adam, and MLPs (docs/learning.md)"
+            raise ConfigError(f"the training {lacks}", key="agent.initial_kl", expected=expected)
+        return InitialPolicy(self.algorithm, agent.initial_kl, self.env)
 
     def learn(self, until: int) -> Iterator[Iteration]:
         """Train until the number of training iterations is ``until``, and yield the result of each iteration.
@@ -120,7 +134,7 @@ class Trainer:
         """
         actor, ppo, env = self.algorithm.actor, self.algorithm, self.env.env
         before, observers, env.observers = env.state_dict(), env.observers, []
-        optimizer = torch.optim.Adam(actor.parameters(), 1e-3)
+        optimizer = torch.optim.Adam(actor.parameters(), _WARM_RATE)
         observations, seen, wanted = self.env.get_observations().to(self.device), [], []
         for rollout in range(self._warm_start):
             for _ in range(self.num_steps):
@@ -171,7 +185,8 @@ class Trainer:
             self.algorithm.compute_returns(observations)
 
     def _update(self) -> dict[str, float]:
-        with self._named_errors(), self._products():
+        is_warm = self.iteration < self._warm_critic
+        with self._named_errors(), self._products(), self._frozen_policy() if is_warm else nullcontext():
             losses: dict[str, float] = self._ppo.update()
         with self.ranks.agreed():
             self._require_finite(losses)
@@ -181,8 +196,27 @@ class Trainer:
             with communicating():
                 for buffer in (b for network in [*networks, *([rnd] if rnd else [])] for b in network.buffers()):
                     torch.distributed.broadcast(buffer, src=0)
-        self.average.take()
+        if not is_warm:
+            self.average.take()
         return losses
+
+    @contextmanager
+    def _frozen_policy(self) -> Iterator[None]:
+        """Freeze the policy, its noise, and its normaliser in an update; afterwards, restore the learning rate."""
+        ppo = self.algorithm
+        parameters = [parameter for parameter in ppo.actor.parameters() if parameter.requires_grad]
+        rate, schedule = ppo.learning_rate, ppo.schedule
+        ppo.schedule = "fixed"
+        self.set_learning_rate(_WARM_RATE)
+        ppo.actor.requires_grad_(False).eval()  # The normaliser learns only in training mode.
+        try:
+            yield
+        finally:
+            for parameter in parameters:
+                parameter.requires_grad_(True)
+            ppo.actor.train()
+            self.set_learning_rate(rate)
+            ppo.schedule = schedule
 
     def _scalars(self, losses: Mapping[str, float], collection_time: float, learning_time: float) -> dict[str, float]:
         scalars = self.log.collect() | self._means.collect()

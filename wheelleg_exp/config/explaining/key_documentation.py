@@ -86,6 +86,8 @@ KEYS: dict[str, str] = {
     "agent.matmul": "number format of the update's products: float32, bfloat16 or tf32; auto: by the hardware",
     "agent.graph_update": "on a GPU, whether PPO's acting and update are CUDA graphs",
     "agent.warm_start": "rollouts before the first iteration, in which the policy imitates the reference controller",
+    "agent.warm_critic": "first iterations, in which only the critic learns",
+    "agent.initial_kl": "loss that keeps the policy near the policy of init_from; null: none",
     "agent.average_iterations": "iterations over which the played policy's weights are averaged; 0: no average",
     "agent.clip_actions": "bound of the raw actions; null: unbounded",
     "agent.max_non_finite": "most episodes that a number that is not finite can end in one iteration, per environment",
