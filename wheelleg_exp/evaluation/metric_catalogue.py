@@ -42,6 +42,11 @@ def worst(columns: Sequence[Array]) -> Array:
     return np.asarray(columns[0].max(axis=-1))
 
 
+def worst_size(columns: Sequence[Array]) -> Array:
+    """Return the largest absolute value of a column over all episodes."""
+    return np.asarray(np.abs(columns[0]).max(axis=-1))
+
+
 def median(columns: Sequence[Array]) -> Array:
     """Return the median of a column over episodes."""
     return np.asarray(np.median(columns[0], axis=-1))
@@ -375,6 +380,10 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
         yield Metric(f"height/height_rmse/{cell.replace(' ', '_')}", ("height_rmse_m",), quadratic, "m", rows=rows)
+    for height in dict.fromkeys(cell.split()[0] for cell in columns["cell_name"].tolist()):
+        rows = partial(in_cells, start=f"{height} ")
+        yield Metric(f"height/lean/{height}", ("lean_rad",), mean, "rad", "", rows)
+        yield Metric(f"height/lean_worst/{height}", ("lean_rad",), worst_size, "rad", rows=rows)
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:

@@ -25,6 +25,8 @@ def term_memory(name: str, term: ObservationTerm) -> Iterator[str]:
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
     if term["function"] == "travel_error":
         yield f"float travelled_{name}[2], commanded_{name}[2];"
+    if term["function"] == "height_error":
+        yield f"float integral_{name}, commanded_{name};"
     for number_of, modifier in enumerate(term["modifiers"]):
         if modifier["kind"] == "integrator":
             yield f"float total_{name}_{number_of}[{term['width']}], before_{name}_{number_of}[{term['width']}];"
@@ -110,8 +112,29 @@ def _value(name: str, term: ObservationTerm, dt: float) -> Iterator[str]:
             missed = f"({rate} - {before}) * {number(dt)}"
             yield f"if (!first) {total} = policy_clip({total} + {missed}, -{number(bound)}, {number(bound)});"
             yield f"{before} = {command}[{column}]; v[{i}] = {total};"
+    elif kind == "height_error":
+        yield from _height_error(name, term, dt)
     else:
         yield from _read(term)
+
+
+def _height_error(name: str, term: ObservationTerm, dt: float) -> Iterator[str]:
+    yield "{"
+    yield "    policy_real height = 0, p[3];"
+    for wheel, centre in enumerate(term["centres"]):
+        yield "    " + " ".join(f"p[{i}] = (policy_real)({value!r});" for i, value in enumerate(centre))
+        for link in term["links"]:
+            line = ", ".join(map(repr, (*link["axes"][wheel], *link["anchors"][wheel])))
+            angle = f"r->joint_pos[{link['columns'][wheel]}] - (policy_real)({link['default'][wheel]!r})"
+            yield f"    policy_move(p, (const policy_real[]){{{line}}}, {angle}, {int(link['slides'][wheel][0])});"
+        yield "    for (i = 0; i < 3; i++) height += p[i] * r->projected_gravity[i];"
+    total, before, now = f"s->integral_{name}", f"s->commanded_{name}", f"r->{identifier(term['command'])}[0]"
+    bound, radius = number(term["max_height_error"]), f"(policy_real){term['wheel_radius']!r}"
+    yield f"    height = height / {len(term['centres'])} + {radius};"
+    summed = f"{total} + (float)(height - {before}) * {number(dt)}"
+    yield f"    if (!first) {total} = policy_clip({summed}, -{bound}, {bound});"
+    yield f"    {before} = {now}; v[0] = (float)(height - {now}); v[1] = {total};"
+    yield "}"
 
 
 def _read(term: ObservationTerm) -> Iterator[str]:
@@ -451,6 +474,18 @@ static inline float policy_filter(
     for (k = outputs - 1; k > 0; k--) y[k] = y[k - 1];
     if (outputs) y[0] = sum;
     return sum;
+}}
+
+/* Turns the point p about a line, an axis and a point on it, or moves p along the axis. */
+static inline void policy_move(policy_real p[3], const policy_real line[6], policy_real by, int slides) {{
+    policy_real c = POLICY_F(cos, by), n = POLICY_F(sin, by), a[3], along = 0;
+    int i;
+    for (i = 0; i < 3; i++) a[i] = p[i] - line[3 + i], along += a[i] * line[i];
+    for (i = 0; i < 3; i++) {{
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        policy_real turned = line[3 + i] + along * line[i] + (a[i] - along * line[i]) * c;
+        p[i] = slides ? p[i] + line[i] * by : turned + (line[j] * a[k] - line[k] * a[j]) * n;
+    }}
 }}
 
 /* The unit vector of gravity in the axes of a link with orientation (w, x, y, z); zeros, which policy_update treats as
