@@ -42,11 +42,6 @@ def worst(columns: Sequence[Array]) -> Array:
     return np.asarray(columns[0].max(axis=-1))
 
 
-def worst_size(columns: Sequence[Array]) -> Array:
-    """Return the largest absolute value of a column over all episodes."""
-    return np.asarray(np.abs(columns[0]).max(axis=-1))
-
-
 def median(columns: Sequence[Array]) -> Array:
     """Return the median of a column over episodes."""
     return np.asarray(np.median(columns[0], axis=-1))
@@ -381,9 +376,9 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
         rows = partial(matching, cell_name=cell)
         yield Metric(f"height/height_rmse/{cell.replace(' ', '_')}", ("height_rmse_m",), quadratic, "m", rows=rows)
     for height in dict.fromkeys(cell.split()[0] for cell in columns["cell_name"].tolist()):
-        rows = partial(in_cells, start=f"{height} ")
-        yield Metric(f"height/lean/{height}", ("lean_rad",), mean, "rad", "", rows)
-        yield Metric(f"height/lean_worst/{height}", ("lean_rad",), worst_size, "rad", rows=rows)
+        rows, column = partial(in_cells, start=f"{height} "), ("lean_rad",)
+        yield Metric(f"height/lean/{height}", column, mean, "rad", "", rows)
+        yield Metric(f"height/lean_worst/{height}", column, lambda leans: worst([np.abs(leans[0])]), "rad", rows=rows)
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
