@@ -103,7 +103,8 @@ def mounting(options: dict[str, list[str]]) -> list[str]:
     for group, names in options.items():
         for other, keys in needs(group, names).items():
             known = options_by_key(other)
-            wanted[other] = sorted({*wanted.get(other, []), *(known[key] for key in keys if key in known)})
+            wheeled = {f"wheeled/{key}" for key in keys}.intersection(files(other))
+            wanted[other] = sorted({*wanted.get(other, []), *(known[key] for key in keys if key in known), *wheeled})
     if "base_velocity" not in wanted["command"]:
         wanted["command"] = ["base_velocity", *wanted["command"]]
     added = ("sensor", "recorder")  # The stock task has no list of these options.

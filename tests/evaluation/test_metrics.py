@@ -51,6 +51,16 @@ def test_a_metric_is_of_the_rows_of_its_test_that_have_a_number():
     assert (nobody.episodes, nobody.as_dict()["value"]) == (0, None)
 
 
+def test_the_lean_at_a_height_covers_all_speeds_and_both_directions():
+    names = ["h=0.05 vx=0", "h=0.05 vx=0.3", "h=0.1 vx=0", "h=0.1 vx=0.3"]
+    columns = {"cell_name": np.array(names), "lean_rad": np.array([0.1, -0.3, 0.2, 0.0])}
+    found = {metric.name: metric for metric in metrics.metrics_of("height", columns, {})}
+    episodes = {"test": np.full(4, "height"), **columns}
+    for height, lean, worst in (("h=0.05", -0.1, 0.3), ("h=0.1", 0.1, 0.2)):
+        for name, value in (("lean", lean), ("lean_worst", worst)):
+            assert figure(found[f"height/{name}/{height}"], episodes, 1, 50).value == pytest.approx(value)
+
+
 def test_the_interval_is_that_of_a_mean():
     draws = np.random.default_rng(3).normal(2.0, 1.0, size=400)
     episodes = {"test": np.full(400, "stand"), "x": draws}

@@ -296,6 +296,7 @@ MODIFIERS = "wheelleg_exp.mdp.modifiers"
 FILTER = f"{{_target_: {MODIFIERS}.DigitalFilter, A: [-0.5], B: [0.3, 0.2]}}"
 VARIANTS = {
     "missed_command": ["task=walk"],
+    "height": ["task=height"],
     "no_history": [
         *("env.observations.policy.history_length=0", "action@env.actions=[leg_pos_delayed,wheel_vel]"),
         *("agent.actor.obs_normalization=true", "+agent.clip_actions=0.05", f"+{TERMS}.joint_vel_rel.clip=[-0.2,0.2]"),
@@ -335,6 +336,12 @@ def test_other_layouts_actions_and_networks_are_repeated_as_well(variant, tmp_pa
         (term,) = (t for t in spec["observations"][0]["terms"] if t["name"] == "travel_error")
         assert (term["joint_names"], term["wheel_radius"]) == (["l03", "r03"], pytest.approx(0.02, rel=0.05))
         assert (term["needs"], term["signs"]) == (["joint_vel", "base_ang_vel", "commands.base_velocity"], [1.0, 1.0])
+    elif variant == "height":
+        (term,) = (t for t in spec["observations"][0]["terms"] if t["name"] == "height_error")
+        assert [link["columns"] for link in term["links"]] == [[2, 3], [0, 1]]  # l02 and r02, then l01 and r01
+        assert spec["joint_names"][:4] == ["l01", "r01", "l02", "r02"]
+        errors = checked(made.folder)["observations"][:, -10:].reshape(-1, 5, 2)
+        assert np.abs(errors).max(axis=(0, 1)).min() > 0.1
     else:
         assert spec["actions"][0]["alpha"] == pytest.approx([0.3] * 4)
 

@@ -29,6 +29,7 @@ OBSERVATIONS = "wheelleg_exp.mdp.observations"
 LEGS = "{_target_: wheelleg_exp.managers.SceneEntityCfg, name: robot, joint_names: [l01, r02]}"
 VARIANTS = {
     "walk": ["task=walk"],
+    "height": ["task=height"],
     "other_observations": [
         *("robot=physical", "env.observations.policy.history_length=0", "action@env.actions=[leg_stance,wheel_drive]"),
         *(f"observation@{TERMS}=[{OBSERVED},{SENSED}]", "agent.actor.obs_normalization=true"),

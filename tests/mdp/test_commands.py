@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from sim.small_envs import env_config, env_of, run, variant
+from sim.small_envs import ASSETS, env_config, env_of, run, variant
 
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
@@ -337,6 +337,57 @@ def test_the_metrics_of_the_base_are_means_over_the_time_between_draws(start_env
     for axis, error in (("height", 0.05), ("roll", 0.1), ("pitch", 0.2)):
         assert float(log[f"Metrics/c/error_{axis}"]) == pytest.approx(error * 2 * 0.02 / 0.1, abs=1e-5)
         assert float(log[f"Episode_Metrics/c/error_{axis}_per_step"]) == pytest.approx(error, abs=1e-5)
+
+
+def _measured(path=None, most=10.0, height=0.2):
+    """An environment of two rovers whose command measures their height over the wheels, with a radius of 40 mm."""
+    node = {"_target_": C + "WheeledBasePoseCommand", "ranges": {"height": [height, height]}, "wheel_cfg": WHEELS}
+    node |= {"resampling_time_range": [9.0, 9.0], "wheel_radius": 0.04, "max_height_error": most}
+    seen = {"_target_": "wheelleg_exp.mdp.observations.height_error", "command_name": "c"}
+    fields = {"commands": {"c": node}, "observations": {"policy": {"terms": {"seen": seen}}}}
+    env = env_of(path or ASSETS / "rover.xml", env_config("rover", num_envs=2, **fields))
+    env.reset()
+    return env, env.command_manager.get_term("c")
+
+
+@pytest.mark.parametrize("hip", ['type="slide" axis="0 .6 .8"', 'pos=".01 .02 .03" axis="0 .6 .8"'])
+def test_the_height_over_the_wheels_is_that_of_mujocos_kinematics(tmp_path, hip):
+    """The left leg has a second joint, and encoders with a bias measure another pose than the true one."""
+    knee = '<joint name="knee" pos=".01 0 .02" axis=".6 .8 0"/>'
+    path = variant(tmp_path, '<joint name="left_axle"', f'{knee}<joint name="left_axle"')
+    path.write_text(path.read_text().replace('<joint name="left_hip" axis="0 1 0"', f'<joint name="left_hip" {hip}'))
+    env, term = _measured(path)
+    robot, model = env.scene.robot, env.scene.sim.model
+    _stand(env, [0.0, 0.0, 0.5], yaw=1.0, pitch=0.4, roll=-0.3)
+    positions = torch.tensor([[0.7, -0.4, 0.5, 5.0, 1.0], [-0.5, 0.9, -0.6, 0.0, 2.0]])
+    robot.write_joint_state_to_sim(positions, torch.zeros(2, 5))
+    robot.data.encoder_bias.copy_(torch.tensor([[0.1, -0.2, 0.0, 0.3, 0.0], [0.0, 0.1, -0.3, 0.0, 1.0]]))
+    robot.data.has_encoder_bias = True
+    env.scene.refresh()
+    heights, data = [], mujoco.MjData(model)
+    for row in range(2):
+        data.qpos[:7] = env.scene.sim.view("qpos")[row, :7]
+        for name, value in zip(robot.joint_names, robot.data.joint_pos_measured[row].tolist(), strict=True):
+            data.qpos[model.joint(name).qposadr[0]] = value
+        mujoco.mj_kinematics(model, data)
+        axles = [data.xanchor[model.joint(name).id][2] for name in AXLES]
+        heights.append(data.xpos[model.body("base").id][2] - np.mean(axles) + 0.04)
+    torch.testing.assert_close(term.height_over_wheels(), torch.tensor(heights), atol=1e-6, rtol=0.0, check_dtype=False)
+    assert abs(heights[0] - heights[1]) > 0.001
+    torch.testing.assert_close(term.height_error(), torch.tensor(heights).float() - 0.2)
+
+
+def test_the_height_error_is_summed_up_to_a_bound_and_from_zero_in_each_episode():
+    env, term = _measured(most=0.005, height=0.3)
+    expected = torch.zeros(2)
+    for _ in range(3):
+        env.step(torch.zeros(2, 4))
+        expected = (expected + term.height_error() * env.step_dt).clamp(-0.005, 0.005)
+        seen = env.observation_manager.compute()["policy"][:, -2:]
+        torch.testing.assert_close(seen, torch.stack((term.height_error(), expected), dim=1))
+    assert (expected == -0.005).all()
+    env.reset(env_ids=torch.tensor([1]))
+    assert term.integrated_error.tolist() == pytest.approx([-0.005, 0.0])
 
 
 def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(start_env):

@@ -375,6 +375,10 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
     for cell in dict.fromkeys(columns["cell_name"].tolist()):
         rows = partial(matching, cell_name=cell)
         yield Metric(f"height/height_rmse/{cell.replace(' ', '_')}", ("height_rmse_m",), quadratic, "m", rows=rows)
+    for height in dict.fromkeys(cell.split()[0] for cell in columns["cell_name"].tolist()):
+        rows, column = partial(in_cells, start=f"{height} "), ("lean_rad",)
+        yield Metric(f"height/lean/{height}", column, mean, "rad", "", rows)
+        yield Metric(f"height/lean_worst/{height}", column, lambda leans: worst([np.abs(leans[0])]), "rad", rows=rows)
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:

@@ -52,7 +52,7 @@ _NAMES_BY_RULE = {
     "pseudovector": ("base_ang_vel", "root_ang_vel_w"),
     "quaternion": ("root_quat_w",),
     "roll_pitch": ("base_roll_pitch",),
-    "invariant": ("base_pos_z", "base_height", "current_time_s", "remaining_time_s"),
+    "invariant": ("base_pos_z", "base_height", "height_error", "current_time_s", "remaining_time_s"),
     "joints": (
         *("joint_pos", "joint_pos_rel", "joint_pos_limit_normalized", "joint_vel", "joint_vel_rel", "joint_acc"),
         *("joint_effort", "joint_effort_commanded"),
@@ -79,6 +79,7 @@ COMMAND_RULES: Mapping[str, str] = {
     "NormalVelocityCommand": "planar_velocity",
     "UniformPose2dCommand": "place",
     "UniformBasePoseCommand": "base_pose",
+    "WheeledBasePoseCommand": "base_pose",
     "UniformPoseCommand": "pose",
     "JumpCommand": "invariant",
     "NullCommand": "invariant",

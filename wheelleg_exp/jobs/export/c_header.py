@@ -23,8 +23,8 @@ _NO_BOUND = 1e30  # a float that no reading reaches; ``inf`` is undefined with -
 def term_memory(name: str, term: ObservationTerm) -> Iterator[str]:
     """Yield C declarations of the arrays that store an observation term's history and modifier states."""
     yield f"float history_{name}[{term['width'] * max(1, term['history_length'])}];"
-    if term["function"] == "travel_error":
-        yield f"float travelled_{name}[2], commanded_{name}[2];"
+    if term["function"] in ("travel_error", "height_error"):
+        yield f"float integral_{name}[2], commanded_{name}[2];"
     for number_of, modifier in enumerate(term["modifiers"]):
         if modifier["kind"] == "integrator":
             yield f"float total_{name}_{number_of}[{term['width']}], before_{name}_{number_of}[{term['width']}];"
@@ -104,14 +104,38 @@ def _value(name: str, term: ObservationTerm, dt: float) -> Iterator[str]:
         pairs = zip(term["columns"], term["signs"], strict=True)
         wheels = " ".join(f"{'+' if sign > 0 else '-'} r->joint_vel[{column}]" for column, sign in pairs)
         rates = (f"({wheels}) / {len(term['columns'])}.0f * {number(term['wheel_radius'])}", "r->base_ang_vel[2]")
-        most, command = (term["max_travel_error"], term["max_heading_error"]), f"r->{identifier(term['command'])}"
-        for i, (rate, bound, column) in enumerate(zip(rates, most, (0, 2), strict=True)):
-            total, before = f"s->travelled_{name}[{i}]", f"s->commanded_{name}[{i}]"
-            missed = f"({rate} - {before}) * {number(dt)}"
-            yield f"if (!first) {total} = policy_clip({total} + {missed}, -{number(bound)}, {number(bound)});"
-            yield f"{before} = {command}[{column}]; v[{i}] = {total};"
+        bounds = (term["max_travel_error"], term["max_heading_error"])
+        for i, (rate, bound, column) in enumerate(zip(rates, bounds, (0, 2), strict=True)):
+            yield from _integral(f"{name}[{i}]", rate, bound, f"r->{identifier(term['command'])}[{column}]", dt)
+            yield f"v[{i}] = s->integral_{name}[{i}];"
+    elif kind == "height_error":
+        height, command = f"height_{name}", f"r->{identifier(term['command'])}[0]"
+        yield from _height(height, term)
+        yield from _integral(f"{name}[0]", f"(float){height}", term["max_height_error"], command, dt)
+        yield f"v[0] = (float)({height} - {command}); v[1] = s->integral_{name}[0];"
     else:
         yield from _read(term)
+
+
+def _integral(place: str, measured: str, bound: float, command: str, dt: float) -> Iterator[str]:
+    """Yield C code that integrates a measured minus a commanded value, from 0 in the first step of an episode."""
+    total, before = f"s->integral_{place}", f"s->commanded_{place}"
+    summed = f"{total} + ({measured} - {before}) * {number(dt)}"
+    yield f"if (!first) {total} = policy_clip({summed}, -{number(bound)}, {number(bound)});"
+    yield f"{before} = {command};"
+
+
+def _height(height: str, term: ObservationTerm) -> Iterator[str]:
+    """Yield C code that declares and computes the height of the base over the wheels."""
+    point = f"{height}_point"
+    yield f"policy_real {point}[3], {height} = (policy_real){term['wheel_radius']!r};"
+    for wheel, centre in enumerate(term["centres"]):
+        yield " ".join(f"{point}[{i}] = (policy_real)({value!r});" for i, value in enumerate(centre))
+        for link in term["links"]:
+            line = ", ".join(map(repr, (*link["axes"][wheel], *link["anchors"][wheel])))
+            angle = f"r->joint_pos[{link['columns'][wheel]}] - (policy_real)({link['default'][wheel]!r})"
+            yield f"policy_move({point}, (const policy_real[]){{{line}}}, {angle}, {int(link['slides'][wheel][0])});"
+        yield f"for (i = 0; i < 3; i++) {height} += {point}[i] * r->projected_gravity[i] / {len(term['centres'])};"
 
 
 def _read(term: ObservationTerm) -> Iterator[str]:
@@ -451,6 +475,18 @@ static inline float policy_filter(
     for (k = outputs - 1; k > 0; k--) y[k] = y[k - 1];
     if (outputs) y[0] = sum;
     return sum;
+}}
+
+/* Turns the point p about a line, an axis and a point on it, or moves p along the axis. */
+static inline void policy_move(policy_real p[3], const policy_real line[6], policy_real by, int slides) {{
+    policy_real c = POLICY_F(cos, by), n = POLICY_F(sin, by), a[3], along = 0;
+    int i;
+    for (i = 0; i < 3; i++) a[i] = p[i] - line[3 + i], along += a[i] * line[i];
+    for (i = 0; i < 3; i++) {{
+        int j = (i + 1) % 3, k = (i + 2) % 3;
+        policy_real turned = line[3 + i] + along * line[i] + (a[i] - along * line[i]) * c;
+        p[i] = slides ? p[i] + line[i] * by : turned + (line[j] * a[k] - line[k] * a[j]) * n;
+    }}
 }}
 
 /* The unit vector of gravity in the axes of a link with orientation (w, x, y, z); zeros, which policy_update treats as

@@ -218,6 +218,26 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     }
 
 
+_MOST_LINKS = 16  # joints between a wheel and the base, so that a runner's time is bounded
+
+
+def _height_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
+    name = term.params["command_name"]
+    command: Any = env.command_manager.get_term(name)
+    legs = command.height_over_wheels
+    if len(legs.links) > _MOST_LINKS:
+        raise ConfigError("a leg has too many joints for a runner", key=term.path, expected=f"at most {_MOST_LINKS}")
+    return {
+        "function": "height_error",
+        "needs": ["joint_pos", "projected_gravity", f"{COMMANDS}{name}"],
+        "command": f"{COMMANDS}{name}",
+        "centres": legs.centres.tolist(),
+        "links": [{key: value.tolist() for key, value in link._asdict().items()} for link in legs.links],
+        "wheel_radius": legs.radius,
+        "max_height_error": command.max_height_error,
+    }
+
+
 def _last_action(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     manager, chosen = env.action_manager, term.params.get("action_name")
     start, columns = 0, {}
@@ -247,6 +267,7 @@ _KNOWN: dict[object, Callable[[ManagerBasedRLEnv, Term], TermValue]] = {
     obs.generated_commands: lambda _env, term: _reading(f"{COMMANDS}{term.params['command_name']}"),
     obs.last_action: _last_action,
     obs.travel_error: _travel_error,
+    obs.height_error: _height_error,
     obs.current_time_s: lambda _env, _term: {"function": "time"},
     obs.remaining_time_s: lambda env, _: {"function": "remaining_time", "episode_length_s": env.max_episode_length_s},
     obs.gait_phase: lambda _env, term: {

@@ -59,6 +59,7 @@ OWN_TERMS = frozenset(
     root_height_over_ground_below_minimum root_link_lin_vel set_root_velocity standing_exp stuck
     terrain_levels_by_distance terrain_tile_left track_base_height_exp track_base_tilt_exp travel_error travel_error_l2
     UniformBasePoseCommand UniformVelocityTravelCommand upward wheel_slip wheel_spin_in_air_l1
+    height_error WheeledBasePoseCommand
     """.split()  # noqa: SIM905
 )
 # Terms that have another name in Isaac Lab.

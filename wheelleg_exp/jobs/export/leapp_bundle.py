@@ -21,6 +21,7 @@ from wheelleg_exp.jobs.export.bundle_check import READING, within_tolerances
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, reading
 from wheelleg_exp.jobs.export.policy_json import ActionTerm, Modifier, ObservationTerm, PolicyJson, Robot
 from wheelleg_exp.mdp.commands import UniformVelocityCommand
+from wheelleg_exp.mdp.root_motion import Link
 
 if TYPE_CHECKING:
     import leapp
@@ -180,14 +181,18 @@ class ControlStep:
         kind, time = term["function"], self._steps * self._spec["step_dt"]
         if kind in ("time", "remaining_time"):
             return time if kind == "time" else term["episode_length_s"] - time
-        if kind == "travel_error":
-            speeds = (self._readings["joint_vel"][:, term["columns"]] * _row(term["signs"])).mean(1, keepdim=True)
-            moved = torch.cat((speeds * term["wheel_radius"], self._readings["base_ang_vel"][:, 2:3]), 1)
-            missed = (moved - self._state(f"{name}_command", 2, start=moved)) * self._spec["step_dt"]
-            most = np.array([term["max_travel_error"], term["max_heading_error"]])
-            total = self.new[f"{name}_total"] = _within(self._state(f"{name}_total", 2) + missed, -most, most)
-            self.new[f"{name}_command"] = self._readings[term["command"]][:, [0, 2]]
-            return total
+        if kind in ("travel_error", "height_error"):
+            columns, most = [0], np.array([term.get("max_height_error")])
+            if kind == "height_error":
+                moved = self._height(term)
+            else:
+                speeds = (self._readings["joint_vel"][:, term["columns"]] * _row(term["signs"])).mean(1, keepdim=True)
+                moved = torch.cat((speeds * term["wheel_radius"], self._readings["base_ang_vel"][:, 2:3]), 1)
+                columns, most = [0, 2], np.array([term["max_travel_error"], term["max_heading_error"]])
+            missed = (moved - self._state(f"{name}_command", len(most), start=moved)) * self._spec["step_dt"]
+            total = self.new[f"{name}_total"] = _within(self._state(f"{name}_total", len(most)) + missed, -most, most)
+            command = self.new[f"{name}_command"] = self._readings[term["command"]][:, columns]
+            return total if kind == "travel_error" else torch.cat((moved - command, total), 1)
         if kind == "gait_phase":
             cycles = self._steps * (self._spec["step_dt"] / term["period"]) + _row(term["offsets"])
             x = 2 * np.pi * torch.fmod(cycles, 1.0)
@@ -202,6 +207,14 @@ class ControlStep:
             gx, gy, gz = torch.split(x, 1, 1)
             return torch.cat((torch.atan2(-gy, -gz), torch.asin(gx.clamp(-1, 1))), 1)
         return torch.cat((torch.sin(x), torch.cos(x)), 1) if kind in ("sin_cos", "gait_phase") else x
+
+    def _height(self, term: ObservationTerm) -> torch.Tensor:
+        points = torch.tensor(term["centres"])[None]
+        for link in term["links"]:
+            joint = Link(**{key: torch.tensor(value) for key, value in link.items()})
+            points = joint.move(points, self._readings["joint_pos"])
+        below = (points * self._readings["projected_gravity"][:, None]).sum(2).mean(1, keepdim=True)
+        return below + term["wheel_radius"]
 
     def _modified(self, name: str, spec: Modifier, x: torch.Tensor) -> torch.Tensor:
         if spec["kind"] in ("scale", "bias"):

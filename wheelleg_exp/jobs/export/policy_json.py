@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 Limits = list[float | None]
 
@@ -43,6 +43,9 @@ class TermValue(TypedDict):
     wheel_radius: NotRequired[float]
     max_travel_error: NotRequired[float]
     max_heading_error: NotRequired[float]
+    centres: NotRequired[list[list[float]]]
+    links: NotRequired[list[dict[str, list[Any]]]]  # one joint of each leg, from the wheels: ``root_motion.Link``
+    max_height_error: NotRequired[float]
     episode_length_s: NotRequired[float]
     period: NotRequired[float]
     offsets: NotRequired[list[float]]

@@ -14,6 +14,7 @@ from wheelleg_exp.mdp.commands.pose_commands import (
     UniformBasePoseCommand,
     UniformPose2dCommand,
     UniformPoseCommand,
+    WheeledBasePoseCommand,
 )
 from wheelleg_exp.mdp.commands.velocity_commands import (
     NormalVelocityCommand,

@@ -10,11 +10,12 @@ import torch
 
 from wheelleg_exp.constraints import Broken, Interval, Positive, PositiveInterval, Share, relation
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.managers import CommandTerm, Env, member
+from wheelleg_exp.managers import CommandTerm, Env, SceneEntityCfg, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.commands.velocity_commands import UniformVelocityTravelCommand
-from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
+from wheelleg_exp.mdp.root_motion import HeightOverWheels, height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.timers import may_be_due
 from wheelleg_exp.state.stateful import Stateful
 
@@ -250,6 +251,51 @@ class UniformBasePoseCommand(RangedCommand):
         low, high = self.bounds()
         u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
         self._command[env_ids] = low + (high - low) * u
+
+
+class WheeledBasePoseCommand(UniformBasePoseCommand):
+    """A base pose command that also integrates the error of the height that a wheeled robot measures. Not in Isaac Lab.
+
+    A policy that observes the error and its integral (``observations.height_error``) need not infer its height.
+
+    Args:
+        wheel_cfg: joints of the wheels that stand on the ground.
+        wheel_radius: radius of the wheels, m.
+        max_height_error: bound of the integrated error, m·s.
+
+    Attributes:
+        integrated_error: integral of the measured minus the commanded height over the episode, m·s, (N,).
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        ranges: Mapping[_Axis, Interval],
+        resampling_time_range: PositiveInterval,
+        generator: torch.Generator,
+        wheel_cfg: SceneEntityCfg,
+        wheel_radius: Positive,
+        max_height_error: Positive,
+        asset_name: str = "robot",
+    ) -> None:
+        super().__init__(env, ranges, resampling_time_range, generator, asset_name)
+        wheels = member(env.scene, wheel_cfg.name, "wheel_cfg.name")
+        self.height_over_wheels = HeightOverWheels(env.scene.sim.model, wheels, wheel_cfg.joint_ids, wheel_radius)
+        self.max_height_error = max_height_error
+        self.integrated_error = self.buffer("integrated_error", torch.zeros(env.num_envs, device=env.device))
+
+    def height_error(self) -> torch.Tensor:
+        """Return the measured minus the commanded height, m, (N,)."""
+        return (self.height_over_wheels() - self._command[:, 0]).float()
+
+    def compute(self, dt: float) -> torch.Tensor:
+        most = self.max_height_error
+        self.integrated_error.add_(self.height_error() * dt).clamp_(-most, most)
+        return super().compute(dt)
+
+    def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
+        fill_rows(self.integrated_error, env_ids, 0.0)
+        return super().finish_episode(env_ids)
 
 
 _FOLLOW, _BACK, _RUN_UP, _OVER = range(4)  # The phases of ``BumpTrigger``.

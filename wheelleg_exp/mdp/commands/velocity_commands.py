@@ -14,6 +14,7 @@ from wheelleg_exp.constraints import Broken, Interval, Length, NonNegative, Posi
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.mdp.root_motion import default_pose
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.rotation import wrap_to_pi
 
@@ -258,10 +259,7 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
     ``joint_ids`` are indices in ``robot.joint_names``. In the default pose, a wheel rolls along the cross product of
     its axis and the vertical: the sign is that of the axis' component along the base's y axis.
     """
-    data = mujoco.MjData(model)
-    for name, value in zip(robot.joint_names, robot.layout.default_joint_pos.tolist(), strict=True):
-        data.qpos[model.joint(name).qposadr[0]] = value
-    mujoco.mj_kinematics(model, data)
+    data = default_pose(model, robot)
     left = data.xmat[int(robot.body_ids[0])].reshape(3, 3)[:, 1]
     signs = []
     for index in torch.arange(len(robot.joint_names), device=robot.body_ids.device)[joint_ids].tolist():

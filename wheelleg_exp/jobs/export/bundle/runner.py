@@ -95,6 +95,8 @@ class Term:
             return array([*np.sin(angles), *np.cos(angles)])
         if kind == "travel_error":
             return self.travelled(readings)
+        if kind == "height_error":
+            return self.height_error(readings)
         x = readings[spec["reading"]]
         x = x if self.columns is None else x[self.columns]
         if kind == "minus_default":
@@ -118,6 +120,23 @@ class Term:
             total = np.clip(total + missed * F(self.dt), -most, most)
         self.memory[-1] = [total, command]
         return total
+
+    def height_error(self, readings: Mapping[str, Array]) -> Array:
+        """Return the base's measured minus commanded height (m), and the clipped integral of this error (m·s)."""
+        command, points = readings[self.spec["command"]][:1], np.array(self.spec["centres"])  # in the base's frame
+        for link in self.spec["links"]:
+            axes, anchors, default = (np.array(link[key]) for key in ("axes", "anchors", "default"))
+            moved, arm = (readings["joint_pos"][link["columns"]] - default)[:, None], points - anchors
+            along = axes * np.sum(axes * arm, axis=1, keepdims=True)
+            turned = anchors + along + (arm - along) * np.cos(moved) + np.cross(axes, arm) * np.sin(moved)
+            points = np.where(link["slides"], points + axes * moved, turned)
+        height = np.mean(points @ readings["projected_gravity"]) + self.spec["wheel_radius"]
+        total, before = self.memory.get(-1, [np.zeros(1, F), command])
+        if -1 in self.memory:  # The integral starts at 0.
+            most = F(self.spec["max_height_error"])
+            total = np.clip(total + (height - before).astype(F) * F(self.dt), -most, most)
+        self.memory[-1] = [total, command]
+        return np.concatenate((height - command, total)).astype(F)
 
     def modified(self, number: int, spec: Any, x: Array) -> Array:
         """Apply an observation modifier to ``x``, and store the modifier's state for the next control step."""
