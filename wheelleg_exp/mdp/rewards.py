@@ -291,7 +291,7 @@ class jump_landing(TermBase):
         upright = flat_orientation_exp(env, self._tilt_std, self._entity)
         value = torch.exp(-(self._impact / self._impact_std).square()) * upright * lands / env.step_dt
         change = _length(velocity - self._last)
-        self._impact.copy_(torch.where(jumps, torch.maximum(self._impact * self._jumped, change), 0.0))
+        self._impact.copy_(torch.where(jumps, torch.maximum(self._impact, change), 0.0))
         self._flew.copy_(jumps & (self._flew | flies.all(dim=1)))
         self._jumped.copy_(jumps)
         self._last.copy_(velocity)
