@@ -19,6 +19,7 @@ WALK = Walk(
     episodes=1, horizon_s=10.0, lin_vel_x=[-0.3, 0.0, 0.3], ang_vel_z=[0.0, 0.5], steady_s=3.0, band=0.1,
     std_lin_vel_x=0.1, std_ang_vel_z=0.2,
 )  # fmt: skip
+JUMP = Jump(1, [0.3], [0.0], 2.0, 0.04, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2, 0.8, 0.02, 0.02, 10.0, False, [])
 
 
 def one(columns, name):
@@ -260,8 +261,8 @@ def test_a_ballistic_jump_has_the_clearance_time_and_span_of_the_closed_form():
     made.clearance[:, 1, 0] = 0.0  # The second robot lifts only one wheel.
     made.down[:] = made.clearance <= 0.0
     made.pos[..., 0] = forwards * times(made).unsqueeze(1)
-    options = Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2)
-    found = jump(Motion(made, parts(2), 1.0), options)
+    found = jump(Motion(made, parts(2), 1.0), JUMP)
+    assert found["height_error_m"].tolist() == pytest.approx([speed**2 / (2 * 9.81) - 0.04, 0.04], abs=1e-3)
     assert found["clearance_m"].tolist() == pytest.approx([speed**2 / (2 * 9.81), 0.0], abs=1e-3)
     assert found["air_s"].tolist() == pytest.approx([2 * speed / 9.81, 0.0], abs=0.02)
     above = 2 * math.sqrt(speed**2 - 2 * 9.81 * 0.02) / 9.81
@@ -277,18 +278,63 @@ def test_a_robot_drives_if_its_mean_velocity_before_the_jump_is_near_the_command
     made.vel[: len(made.vel) // 6, :, 0] = 0.0  # Only the second before the jump counts.
     made.vel[len(made.vel) // 3 :, :, 0] = 0.0
     fall(made, 3, 0.9)
-    found = jump(Motion(made, parts(5), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2))
+    found = jump(Motion(made, parts(5), 1.0), JUMP)
     assert found["off_speed_m_s"][:3].tolist() == pytest.approx([0.04, 0.04, 0.06], abs=1e-6)
     assert found["drove"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
     columns = {"test": np.array(["jump"] * 5), "cell": np.array([0.0, 0.0, 1.0, 1.0, 1.0])}
     columns["cell_name"] = np.array(["vx=0", "vx=0", "vx=0.3", "vx=0.3", "vx=0.3"])
     columns |= {name: found[name].numpy() for name in ("drove", "off_speed_m_s", "off_yaw_rate_rad_s")}
     columns |= {"jumped": np.ones(5), "recovered": np.array([1.0, 0.0, 1.0, 1.0, 1.0])}
+    # Before evaluations had several worlds and turns, their episodes had no columns for these.
     numbers = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("jump", columns, {})}
     assert (numbers["jump/success"], numbers["jump/worst_success"]) == (0.2, 0.0)
     assert (numbers["jump/success/vx=0"], numbers["jump/success/vx=0.3"]) == (0.5, 0.0)
     assert numbers["jump/speed_error/vx=0.3"] == pytest.approx(0.03)  # without the robot that fell
     assert numbers["jump/yaw_rate_error/vx=0.3"] == pytest.approx(0.15)
+
+
+def test_a_robot_turns_in_a_jump_if_its_yaw_rate_is_80_percent_of_the_command():
+    made = still(7.0, 4)
+    made.command[:, 1:, 2] = torch.tensor([0.5, -0.5, 0.5])
+    made.ang[..., 2] = torch.tensor([0.1, 0.41, -0.39, 0.41])
+    made.ang[: round(2.0 / DT), :, 2] = 0.0  # Only the 2.5 s after the command to jump count.
+    made.ang[round(4.5 / DT) :, :, 2] = 0.0
+    made.ang[..., 2] *= torch.tensor([1.0, 1.0, 1.0, -1.0])
+    found = jump(Motion(made, parts(4), 1.0), JUMP)
+    assert found["turn_share"][1:].tolist() == pytest.approx([0.82, 0.78, -0.82], abs=1e-6)
+    assert bool(found["turn_share"][0].isnan())
+    assert found["turned"].tolist() == [1.0, 1.0, 0.0, 0.0]
+
+
+def test_a_robot_is_quiet_if_it_neither_drifts_nor_chatters_from_two_seconds_after_its_landing():
+    made, after = still(6.0, 5), round(4.5 / DT)
+    made.pos[: after - 1, 0, 0] = made.yaw[: after - 1, 0] = 0.3  # Motion before this time does not count.
+    made.pos[after - 1 :, 1, 0] = 0.03 * (times(made)[after - 1 :] - 4.5) / 1.5
+    made.yaw[after + 9 :, 2] = 0.03
+    swing = 0.001 * (-1.0) ** torch.arange(made.steps)  # second differences of 0.004
+    made.action[:, 3] = swing.unsqueeze(1)
+    fall(made, 4, 5.0)
+    found = jump(Motion(made, parts(5), 1.0), JUMP)
+    assert found["quiet_drift_m"][:3].tolist() == pytest.approx([0.0, 0.03, 0.0], abs=1e-4)
+    assert found["quiet_yaw_rad"][2].item() == pytest.approx(0.03)
+    assert found["quiet_chatter_per_s2"][3].item() == pytest.approx(0.004 / DT**2, rel=1e-4)
+    assert found["quiet"].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_jumps_of_other_worlds_have_their_own_metrics():
+    worlds = [("nominal", 0.0), ("nominal", 0.0), ("errors", 0.0), ("delay", 0.0167), ("delay", 0.0333)]
+    names = ("drove", "turned", "jumped", "recovered", "survived", "quiet", "command_vx", "command_wz")
+    columns = {"test": np.array(["jump"] * 5), **{name: np.ones(5) for name in names}, "cell": np.zeros(5)}
+    columns |= {"cell_name": np.array(["vx=0"] * 5), "clearance_m": np.array([0.02, 0.04, 0.9, 0.9, 0.9])}
+    columns |= {"sweep": np.array([sweep for sweep, _ in worlds]), "value": np.array([value for _, value in worlds])}
+    columns["turned"][[1, 4]] = 0.0
+    columns["command_vx"][:] = columns["command_wz"][:] = 0.0
+    columns["quiet"][2] = 0.0
+    numbers = {m.name: float(m.reduce(m.values(columns))) for m in metrics_of("jump", columns, {})}
+    assert (numbers["jump/success"], numbers["jump/errors/success"]) == (0.5, 1.0)
+    assert (numbers["jump/delay/0.0167/success"], numbers["jump/delay/0.0333/success"]) == (1.0, 0.0)
+    assert (numbers["jump/quiet"], numbers["jump/errors/quiet"]) == (1.0, 0.0)
+    assert numbers["jump/clearance"] == numbers["jump/clearance/vx=0"] == pytest.approx(0.03)
 
 
 def test_hops_do_not_add_up_to_a_flight():
@@ -297,7 +343,7 @@ def test_hops_do_not_add_up_to_a_flight():
     for start, end in ((180, 192), (210, 216)):
         made.clearance[start:end] = 0.03
         made.down[start:end] = False
-    found = jump(Motion(made, parts(), 1.0), Jump(1, [0.3], 2.0, 4.0, None, 0.25, 0.015, 0.3, 2.5, 0.05, 0.2))
+    found = jump(Motion(made, parts(), 1.0), JUMP)
     assert float(found["air_s"]) == pytest.approx(12 * DT)
     assert float(found["span_m"]) == pytest.approx(12 * DT * 0.3, rel=1e-3)
 

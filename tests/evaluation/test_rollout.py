@@ -102,11 +102,13 @@ def test_each_episode_has_a_constant_height_command(task):
 
 
 def test_each_episode_has_one_jump_at_the_time_of_the_protocol(task):
-    changes = words("jump", episodes=1, lin_vel_x="[0.0,0.3]", at_s=1.0)
-    seen = held(task, "jump", "jump", jumping, *changes)[:, :, 0] > 0.0
+    changes = words("jump", episodes=1, lin_vel_x="[0.0,0.3]", ang_vel_z="[0.5]", at_s=1.0, height=0.03)
+    command = held(task, "jump", "jump", jumping, *changes)
+    seen = command[:, :, 0] > 0.0
     jumps = seen[:, 0].nonzero().squeeze(1) / 60
-    assert (float(jumps[0]), float(jumps[-1])) == pytest.approx((1.0, 1.6), abs=0.04)
-    assert len(jumps) == int(seen[:, 1].sum()) == pytest.approx(36, abs=1)
+    assert (float(jumps[0]), float(jumps[-1])) == pytest.approx((1.0, 1.8), abs=0.04)
+    assert len(jumps) == int(seen[:, 1].sum()) == pytest.approx(48, abs=1)
+    assert torch.equal(command[:, :, 1], torch.where(seen, 0.03, 0.0))
     changes = words("stand", episodes=1)
     assert not held(task, "stand", "jump", standing, *changes).any()
 
@@ -278,6 +280,7 @@ def test_the_gains_of_the_drives_rise_evenly_at_a_cold_start(task, robot):
 def test_the_reference_holds_the_height_but_does_not_jump(task, skill):
     small = {"height": {"heights": "[0.0725]", "lin_vel_x": "[0.0]", "horizon_s": 3.0}}
     small["jump"] = {"lin_vel_x": "[0.0]", "at_s": 2.0, "after_s": 2.0, "within_s": 1.5}
+    small["jump"] |= {"ang_vel_z": "[0.0]", "delay_s": "[0.0333]", "errors": "false"}
     env = compose([f"task={skill}"]).config["env"]
     found = evaluate(env, task[1], Reference, protocol(skill, *words(skill, episodes=2, **small[skill])), 1)
     assert found.value(f"{skill}/survival") == 1.0
@@ -285,6 +288,7 @@ def test_the_reference_holds_the_height_but_does_not_jump(task, skill):
         assert found.value("height/height_rmse/h=0.0725_vx=0") < 0.01
     else:
         assert (found.value("jump/success"), found.value("jump/worst_success")) == (0.0, 0.0)
+        assert (found.value("jump/quiet"), found.value("jump/delay/0.0333/survival")) == (1.0, 1.0)
         assert found.value("jump/clearance") < 0.002
         assert found.value("jump/impact") < 0.01  # The drop at the start does not count.
 

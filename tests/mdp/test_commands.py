@@ -404,6 +404,20 @@ def test_a_jump_is_commanded_in_the_last_part_of_the_time_between_two_draws(star
         _env(start_env, "JumpCommand", num_envs=2, resampling_time_range=[1.0, 2.0], window_s=1.0)
 
 
+def test_a_jump_has_a_drawn_height_in_its_window_and_the_largest_before_a_step(start_env):
+    fields = {"resampling_time_range": [1.0, 1.0], "window_s": 0.25}
+    env, term = _env(start_env, "JumpCommand", num_envs=2000, heights=[0.02, 0.05], **fields)
+    drawn = term.heights.clone()
+    assert (float(drawn.min()), float(drawn.max())) == pytest.approx((0.02, 0.05), abs=1e-4)
+    assert float(drawn.mean()) == pytest.approx(0.035, abs=0.001)
+    seen = [env.command_manager.compute(0.1) or term.command.clone() for _ in range(10)]
+    assert [bool(torch.equal(command[:, 1:], drawn)) for command in seen] == [False] * 7 + [True, True, False]
+    assert not torch.stack(seen[:7]).any()
+    assert not torch.equal(term.heights, drawn)  # The next jump has another height.
+    term.start(torch.arange(2000) == 0)
+    assert term.command[:2].tolist() == [pytest.approx([1.0, 0.05]), [0.0, 0.0]]
+
+
 def test_a_jump_is_commanded_where_the_ground_ahead_is_higher(start_env):
     drive = {"_target_": C + "UniformVelocityCommand", "ranges": {"lin_vel_x": [0.3, 0.3]}}
     times = {"resampling_time_range": [9.0, 9.0], "window_s": 0.3, "ahead_s": 0.5}

@@ -239,6 +239,54 @@ def test_a_jump_earns_its_largest_clearance_once():
     close(term(env) * dt, [0.01, 0.0])  # A new episode starts a new jump.
 
 
+def test_a_jump_is_paid_up_to_the_commanded_height():
+    env = fake_env(
+        commands={"jump": T([[1.0, 0.03], [0.5, 0.05]])}, data_body_pos_w=torch.zeros(2, 1, 3), step_dt=0.01, **TWO
+    )
+    env.scene.robot.data.body_pos_w[:, :, 2] = 0.06
+    term = rewards.jump_clearance(env, "jump", rest=0.02, target=None, asset_cfg=entity(bodies=[0]))
+    close(term(env) * 0.01, [0.03, 0.04])
+
+
+def test_a_landing_is_paid_once_at_the_end_of_the_window_of_a_flight():
+    """Four robots: a soft landing, one with an impact and a tilt, no flight, and a wheel that is still in the air."""
+    command, force, velocity, gravity = torch.zeros(4, 1), torch.ones(4, 2), torch.zeros(4, 3), torch.zeros(4, 3)
+    four = {"num_envs": 4, "device": torch.device("cpu")}
+    env = fake_env(commands={"jump": command}, contact_norm=force, data_root_lin_vel_w=velocity, step_dt=0.01, **four)
+    env.scene.robot.data.projected_gravity_b = gravity
+    term = rewards.jump_landing(env, "jump", entity("contact", bodies=[0, 1]), 0.5, impact_std=0.5, tilt_std=0.2)
+    paid = []
+
+    def step(share, fall, flies):
+        command[:], velocity[1, 2] = share, fall
+        force[[0, 1, 3]] = 0.0 if flies else 1.0
+        paid.append((term(env) * 0.01).tolist())
+
+    step(0.0, 0.0, True)  # before the window
+    step(0.0, 9.0, False)  # an impact before the window
+    step(1.0, 9.0, False)
+    step(0.7, 9.0, True)
+    step(0.3, 9.4, False)  # an impact of 0.4 m/s
+    force[3, 1], gravity[1, 0] = 0.0, 0.1
+    command[:] = 0.0
+    paid.append((term(env) * 0.01).tolist())
+    assert paid[-1] == pytest.approx([1.0, math.exp(-((0.4 / 0.5) ** 2) - (0.1 / 0.2) ** 2), 0.0, 0.0], abs=1e-5)
+    step(0.0, 9.4, False)
+    assert not any(any(values) for values in paid[:-2] + paid[-1:])
+
+
+def test_a_weight_is_added_while_a_jump_is_commanded(start_env):
+    name = "wheelleg_exp.mdp.rewards."
+    jump = {"_target_": "wheelleg_exp.mdp.commands.JumpCommand", "resampling_time_range": [9.0, 9.0], "window_s": 0.5}
+    added = {"_target_": name + "while_commanded", "term": "alive", "command_name": "jump", "weight": -0.75}
+    terms = {"alive": {"_target_": name + "is_alive", "weight": 1.0}, "alive_in_jump": added}
+    env = start_env(commands={"jump": jump}, rewards=terms, num_envs=2)
+    term = env.command_manager.get_term("jump")
+    term.start(torch.tensor([True, False]))
+    env.step(torch.zeros(2, env.action_manager.total_action_dim))
+    assert env.reward_manager.step_reward.sum(dim=0).tolist() == [0.25, 1.0]
+
+
 def test_the_apex_of_a_jump_is_known_at_the_take_off():
     env = fake_env(
         commands={"jump": T([[1.0], [1.0]])},

@@ -142,6 +142,12 @@ def worlds(env: EnvOptions, options: Robust) -> Iterator[World]:
         yield World("combined", 1.0, both, *(options.combined.get(name, 0.0) for name in ("kick", "platform")))
 
 
+def jump_worlds(env: EnvOptions, own: EnvOptions, options: Jump) -> list[World]:
+    """Return the unchanged simulation, one with the task's errors (``own``), and one for each delay of the actions."""
+    late = [World("delay", s, with_action_delay(env, ActionRealism(delay_s=(s, s)))) for s in options.delay_s]
+    return [World("nominal", 0.0, env), *([World("errors", 0.0, own)] if options.errors else []), *late]
+
+
 def world(env: EnvOptions, options: Robust, name: str, value: float) -> World:
     """Return the simulation in which the property ``name``, such as ``friction``, has the given value."""
     kick, platform = (value if name == moving else 0.0 for moving in ("kick", "platform"))

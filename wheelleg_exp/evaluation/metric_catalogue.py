@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -140,6 +140,11 @@ def differing(rows: Mapping[str, Array], column: str, value: object) -> Array:
 def matching(rows: Mapping[str, Array], **values: object) -> Array:
     """Return the mask of the episodes whose columns, such as ``level``, have the given values."""
     return np.asarray(np.logical_and.reduce([rows[name] == value for name, value in values.items()]))
+
+
+def in_world(rows: Mapping[str, Array], sweep: str, value: float, of: Rows = everything) -> Array:
+    """Return the mask ``of`` without the episodes of other worlds; older evaluations of jumps have one world."""
+    return of(rows) & (matching(rows, sweep=sweep, value=value) if "sweep" in rows else True)
 
 
 def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array:
@@ -382,19 +387,45 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
 
 
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    better, parts = "higher", ("drove", "jumped", "recovered")
+    for metric in _of_nominal_jumps(columns):
+        yield replace(metric, rows=partial(in_world, sweep="nominal", value=0.0, of=metric.rows))
+    pairs = zip(columns.get("sweep", np.array([])).tolist(), columns.get("value", np.array([])).tolist(), strict=True)
+    for sweep, value in dict.fromkeys(pair for pair in pairs if pair[0] != "nominal"):
+        name, rows = (
+            f"jump/{sweep}/{value:g}" if value else f"jump/{sweep}",
+            partial(in_world, sweep=sweep, value=value),
+        )
+        yield Metric(f"{name}/success", _JUMP_PARTS, all_of, better="higher", rows=rows)
+        for kind, column in (("survival", "survived"), ("turn_share", "turn_share")):
+            yield Metric(f"{name}/{kind}", (column,), mean, better="higher", rows=rows)
+        yield Metric(f"{name}/quiet", ("quiet",), mean, better="higher", rows=partial(rows, of=still))
+
+
+_JUMP_PARTS = ("drove", "turned", "jumped", "recovered")
+
+
+def _of_nominal_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
+    # Older evaluations command no turns.
+    better, parts = "higher", tuple(name for name in _JUMP_PARTS if name in columns)
     yield from _survival("jump", columns)
     yield Metric("jump/success", parts, all_of, better=better)
     yield Metric("jump/worst_success", ("cell", *parts), worst_mean, better=better)
     for name, unit in (("clearance_m", "m"), ("air_s", "s"), ("span_m", "m")):
         yield Metric(f"jump/{name.rpartition('_')[0]}", (name,), mean, unit, better)
-    for cell in dict.fromkeys(columns["cell_name"].tolist()):
-        rows = partial(matching, cell_name=cell)
+    yield Metric("jump/height_error", ("height_error_m",), mean, "m")
+    yield Metric("jump/turn_share", ("turn_share",), mean, better=better)
+    yield Metric("jump/quiet", ("quiet",), mean, better=better, rows=still)
+    for name, unit in (("quiet_drift_m", "m"), ("quiet_yaw_rad", "rad"), ("quiet_chatter_per_s2", "1/s²")):
+        yield Metric(f"jump/{_short(name)}", (name,), mean, unit, rows=still)
+    for name in dict.fromkeys(columns["cell_name"].tolist()):
+        rows, cell = partial(matching, cell_name=name), name.replace(" ", "_")
         yield Metric(f"jump/success/{cell}", parts, all_of, better=better, rows=rows)
         yield Metric(f"jump/clearance/{cell}", ("clearance_m",), mean, "m", better, rows)
         yield Metric(f"jump/span/{cell}", ("span_m",), mean, "m", better, rows)
         yield Metric(f"jump/speed_error/{cell}", ("off_speed_m_s",), mean, "m/s", rows=rows)
         yield Metric(f"jump/yaw_rate_error/{cell}", ("off_yaw_rate_rad_s",), mean, "rad/s", rows=rows)
+        if "wz=" in cell:
+            yield Metric(f"jump/turn_share/{cell}", ("turn_share",), mean, better=better, rows=rows)
     yield Metric("jump/recovery", ("recovery_s",), mean, "s")
     yield from _landing("jump")
     yield from _shared_metrics("jump", columns, everything)

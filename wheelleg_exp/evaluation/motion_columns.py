@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -295,7 +295,11 @@ def jump(motion: Motion, options: Jump) -> Columns:
     ``clearance_m`` is that of the lowest wheel. ``span_m`` is the longest way of the base while all wheels have at
     least the clearance ``options.clearance``, or their radius; ``jumped`` is 1 if they reached it. ``off_speed_m_s``
     and ``off_yaw_rate_rad_s`` are the errors of mean speed and mean yaw rate in the second before the command to jump;
-    ``drove`` is 1 if both are at most ``options.speed_error`` and ``options.yaw_rate_error``, else 0.
+    ``drove`` is 1 if both are at most ``options.speed_error`` and ``options.yaw_rate_error``, else 0. ``turn_share`` is
+    the mean yaw rate from the command to ``options.within_s`` later, divided by the commanded yaw rate, NaN if that is
+    0; ``turned`` is 0 if the share is less than ``options.turn_share``, else 1. The columns ``quiet_*`` are those of
+    ``drift`` and the mean acceleration of the actions, from ``options.within_s`` after the command on; ``quiet`` is 1
+    if they are within the limits, else 0.
     """
     made, after = motion.made, motion.made.counted(options.at_s)
     before = made.counted(options.at_s - 1.0, options.at_s)
@@ -304,14 +308,28 @@ def jump(motion: Motion, options: Jump) -> Columns:
     min_clearance = float(motion.parts.wheel_radius.max()) if options.clearance is None else options.clearance
     lowest = made.clearance.amin(dim=-1)
     highest = largest(lowest, after)
+    landed_s = options.at_s + options.within_s
+    asked = made.command[0, :, 2].double()
+    turned = mean(made.ang[..., 2], made.counted(options.at_s, landed_s)) / asked
+    drifted = drift(made, landed_s)
+    quiet = {
+        "quiet_drift_m": (drifted["drift_max_m"], options.quiet_drift),
+        "quiet_yaw_rad": (drifted["yaw_drift_rad"], options.quiet_yaw),
+        "quiet_chatter_per_s2": (replace(motion, settle_s=landed_s).action_change(2), options.quiet_chatter),
+    }
     return {
         "clearance_m": highest,
+        "height_error_m": (highest - options.height).abs(),
         "air_s": _longest(torch.full_like(lowest, made.dt), ~made.down.any(dim=-1), after),
         "span_m": _longest(motion.step_lengths, lowest >= min_clearance, after),
         "jumped": (highest >= min_clearance).double(),
         "off_speed_m_s": off_speed,
         "off_yaw_rate_rad_s": off_yaw_rate,
         "drove": ((off_speed <= options.speed_error) & (off_yaw_rate <= options.yaw_rate_error)).double(),
+        "turn_share": torch.where(asked == 0.0, torch.nan, turned),
+        "turned": ((asked == 0.0) | (turned >= options.turn_share)).double(),
+        **{name: value for name, (value, _) in quiet.items()},
+        "quiet": (~made.fell & torch.stack([value <= limit for value, limit in quiet.values()]).all(dim=0)).double(),
     }
 
 

@@ -45,10 +45,11 @@ class HeldCommand:
         self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)
 
 
-def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> None:
+def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float, jump_height: float) -> None:
     """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-    The default pose is the middle of the task's range; inf means no jump. A missing command raises ConfigError.
+    The default pose is the middle of the task's range; ``jump_at_s``, s, is inf without a jump, whose height is in m. A
+    missing command raises ConfigError.
     """
     terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
     poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]
@@ -70,6 +71,7 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float) -> 
 
         def draw_jump(env_ids: torch.Tensor, jump: JumpCommand = jump) -> None:
             jump.time_left.index_fill_(0, env_ids, jump_at_s + jump.window_s)
+            jump.heights[env_ids] = jump_height
             jump.is_jumping_env[env_ids] = jump.command_counter[env_ids] == 0
             jump.command.index_fill_(0, env_ids, 0.0)
 
@@ -94,8 +96,8 @@ class Rollout:
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
         self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
         self._held = HeldCommand(env, protocol.command)
-        at_s = protocol.jump.at_s if scenarios.test == "jump" and protocol.jump else math.inf
-        hold_heights_and_jumps(env, scenarios, at_s)
+        jump = protocol.jump if scenarios.test == "jump" else None
+        hold_heights_and_jumps(env, scenarios, *((jump.at_s, jump.height) if jump else (math.inf, 0.0)))
         # A robot that gets up starts with any tilt, and may fall back.
         self._fall_tilt = math.inf if scenarios.test == "get_up" else protocol.fall_tilt
         self._force = protocol.contact_force

@@ -112,6 +112,9 @@ def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, o
             columns |= dict.fromkeys(disturbance_tests.PUSH_COLUMNS, np.zeros(1))
         else:
             columns |= _numbers(_columns(subject, rollout, made))
+        if table.test == "jump":
+            changed = _jump_worlds(subject, table)
+            columns |= {"sweep": np.array([w.sweep for w in changed]), "value": np.array([w.value for w in changed])}
         found += [metric.name for metric in metrics_of(table.test, columns, protocol)]
     return found
 
@@ -147,7 +150,7 @@ def _tables(options: protocol_options.Protocol) -> list[Scenarios]:
 
 
 def _run(subject: Subject, table: Scenarios) -> Part:
-    if table.test == "robust":
+    if table.test in ("robust", "jump"):
         return _in_changed_worlds(subject, table)
     rollout = _placed(subject, table)
     policy, progress = subject.make_policy(rollout.env), subject.progress_of(table.test)
@@ -181,15 +184,23 @@ def _placed(subject: Subject, table: Scenarios) -> Rollout:
     return subject.rollout(table, env)
 
 
+def _jump_worlds(subject: Subject, table: Scenarios) -> list[disturbance_tests.World]:
+    assert subject.protocol.jump is not None
+    own = replace(subject, protocol=replace(subject.protocol, realism="own"))
+    return disturbance_tests.jump_worlds(subject.options(table), own.options(table), subject.protocol.jump)
+
+
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
-    options = subject.protocol.robust
-    assert options is not None
+    options = getattr(subject.protocol, table.test)
     env, found, starts = subject.options(table), list[dict[str, Array]](), list[str]()
-    each, margins = list(disturbance_tests.worlds(env, options)), options.margins or {}
+    if table.test == "robust":
+        each, margins = list(disturbance_tests.worlds(env, options)), options.margins or {}
+    else:
+        each, margins = _jump_worlds(subject, table), {}
     progress = subject.progress_of(table.test)
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
-        columns = _world_columns(subject, rollout, made)
+        columns = (_world_columns if table.test == "robust" else _columns)(subject, rollout, made)
         names = {"sweep": np.full(table.size, changed.sweep), "value": np.full(table.size, changed.value)}
         names["world"] = np.full(table.size, float(number))
         found.append(identity(rollout, made) | names | _numbers(columns))

@@ -194,12 +194,14 @@ class GetUp:
 
 @dataclass(frozen=True)
 class Jump:
-    """``protocol.jump``: one commanded jump, standing or driving.
+    """``protocol.jump``: one commanded jump, standing, driving, or turning, without errors and in each changed world.
 
     Attributes:
-        episodes: number of episodes per speed.
+        episodes: number of episodes per pair of a speed and a yaw rate.
         lin_vel_x: forward speeds, m/s.
+        ang_vel_z: yaw rates, rad/s.
         at_s: time of the command to jump, s.
+        height: commanded clearance of the wheels, m; policies without commanded heights do not observe it.
         after_s: time from the command to the end of the episode, s.
         clearance: clearance of all wheels that counts as a jump, m; null means the wheels' radius.
         recovered_tilt: largest tilt of a robot that has landed, rad.
@@ -208,11 +210,19 @@ class Jump:
         within_s: longest time from the command to the end of the landing, s.
         speed_error: largest error of the mean forward speed in the second before the command to jump, m/s.
         yaw_rate_error: largest error of the mean yaw rate in the same second, rad/s.
+        turn_share: smallest mean yaw rate from the command to ``within_s`` later, as a share of a commanded yaw rate.
+        quiet_drift: largest drift of a quiet robot after ``within_s``, m.
+        quiet_yaw: largest angle by which it turns in this time, rad.
+        quiet_chatter: largest mean acceleration of its actions in this time, 1/s².
+        errors: whether the jumps are repeated with the task's errors (``env.realism``).
+        delay_s: delays of the actions with which the jumps are repeated, s.
     """
 
     episodes: Count
     lin_vel_x: Speeds
+    ang_vel_z: Speeds
     at_s: NonNegative
+    height: Positive
     after_s: Positive
     clearance: Positive | None
     recovered_tilt: Positive
@@ -221,6 +231,12 @@ class Jump:
     within_s: Positive
     speed_error: Positive
     yaw_rate_error: Positive
+    turn_share: Share
+    quiet_drift: Positive
+    quiet_yaw: Positive
+    quiet_chatter: Positive
+    errors: bool
+    delay_s: list[Positive]
 
 
 @dataclass(frozen=True)

@@ -97,9 +97,10 @@ def getting_up(options: protocol_options.GetUp) -> Scenarios:
 
 
 def jumping(options: protocol_options.Jump) -> Scenarios:
-    """Return a table of episodes with one jump, one group (cell) for each forward speed."""
-    cells = tuple(((float(speed), 0.0, 0.0),) for speed in options.lin_vel_x)
-    names = tuple(f"vx={speed:g}" for speed in options.lin_vel_x)
+    """Return a table of episodes with one jump, one group (cell) for each pair of a forward speed and a yaw rate."""
+    pairs = [(float(x), float(z)) for x, z in product(options.lin_vel_x, options.ang_vel_z)]
+    cells = tuple(((x, 0.0, z),) for x, z in pairs)
+    names = tuple(f"vx={x:g} wz={z:g}" if z else f"vx={x:g}" for x, z in pairs)
     horizon, settings = float(options.at_s + options.after_s), json.dumps(asdict(options))
     return Scenarios("jump", horizon, (0.0,), cells, names, options.episodes, settings)
 

@@ -202,12 +202,17 @@ class jump_clearance(TermBase):
 
     Args:
         rest: height of the wheels' links while the robot stands: the radius of the wheels, m.
-        target: clearance above which the reward does not grow, m.
+        target: clearance above which the reward does not grow, m; null: the commanded height.
         asset_cfg: the wheels' links.
     """
 
     def __init__(
-        self, env: Env, command_name: str, rest: NonNegative, target: Positive, asset_cfg: SceneEntityCfg = _ROBOT
+        self,
+        env: Env,
+        command_name: str,
+        rest: NonNegative,
+        target: Positive | None,
+        asset_cfg: SceneEntityCfg = _ROBOT,
     ) -> None:
         self._command, self._rest, self._target, self._entity = command_name, rest, target, asset_cfg
         self._highest = self.buffer("_highest", torch.zeros(env.num_envs, device=env.device), fill=0.0)
@@ -218,8 +223,10 @@ class jump_clearance(TermBase):
         return height_over_ground(env, wheels).amin(dim=1)
 
     def __call__(self, env: Env) -> torch.Tensor:
-        jumps = env.command_manager.get_command(self._command)[:, 0] > 0.0
-        height = (self.height(env) - self._rest).clamp(0.0, self._target)
+        command = env.command_manager.get_command(self._command)
+        jumps = command[:, 0] > 0.0
+        target = command[:, 1] if self._target is None else self._target
+        height = (self.height(env) - self._rest).clamp(min=0.0).clamp(max=target)
         gain = torch.where(jumps, (height - self._highest).clamp(min=0.0), 0.0)
         self._highest.copy_(torch.where(jumps, self._highest + gain, 0.0))
         return gain / env.step_dt
@@ -232,7 +239,7 @@ class jump_apex(jump_clearance):
 
     Args:
         rest: height of the base while the robot stands, m.
-        target: rise of the apex above which the reward does not grow, m.
+        target: rise of the apex above which the reward does not grow, m; null: the commanded height.
     """
 
     def height(self, env: Env) -> torch.Tensor:
@@ -242,6 +249,62 @@ class jump_apex(jump_clearance):
         rise = data.root_lin_vel_w[:, 2].clamp(min=0.0).square() / (2.0 * gravity)
         found: torch.Tensor = height_over_ground(env, data.root_pos_w) + rise
         return found
+
+
+class jump_landing(TermBase):
+    """exp(-a^2 / impact_std^2 - s^2 / tilt_std^2) at the end of a jump's window, per control step. Not in Isaac Lab.
+
+    a is the impact, the largest change of the base's velocity in a control step of the window, m/s; s is the sine of
+    the tilt. The reward is paid once, and sums to at most 1 over the control step. It is 0 if the wheels did not all
+    leave the ground, or if one of them is still in the air. The command must be a ``JumpCommand``.
+
+    Args:
+        sensor_cfg: the wheels of a contact sensor.
+        threshold: force up to which a wheel is in the air, N.
+        impact_std: impact at which 1/e of the reward remains, m/s.
+        tilt_std: sine of the tilt at which 1/e of the reward remains.
+    """
+
+    def __init__(
+        self,
+        env: Env,
+        command_name: str,
+        sensor_cfg: SceneEntityCfg,
+        threshold: NonNegative,
+        impact_std: Positive,
+        tilt_std: Positive,
+        asset_cfg: SceneEntityCfg = _ROBOT,
+    ) -> None:
+        self._command, self._wheels, self._threshold, self._entity = command_name, sensor_cfg, threshold, asset_cfg
+        self._impact_std, self._tilt_std = impact_std, tilt_std
+        zeros = torch.zeros(env.num_envs, device=env.device)
+        self._last = self.buffer("_last", zeros.unsqueeze(1).repeat(1, 3), fill=0.0)  # velocity, m/s
+        self._impact = self.buffer("_impact", zeros.clone(), fill=0.0)
+        self._jumped = self.buffer("_jumped", zeros.bool(), fill=False)  # in the window of the last control step
+        self._flew = self.buffer("_flew", zeros.bool(), fill=False)
+
+    def __call__(self, env: Env) -> torch.Tensor:
+        force = picked(env.scene.contact_sensor(self._wheels.name).max_force_norm(), self._wheels.body_ids)
+        flies, velocity = force <= self._threshold, env.scene[self._entity.name].data.root_lin_vel_w
+        jumps = env.command_manager.get_command(self._command)[:, 0] > 0.0
+        lands = self._jumped & ~jumps & self._flew & ~flies.any(dim=1)
+        upright = flat_orientation_exp(env, self._tilt_std, self._entity)
+        value = torch.exp(-(self._impact / self._impact_std).square()) * upright * lands / env.step_dt
+        change = _length(velocity - self._last)
+        self._impact.copy_(torch.where(jumps, torch.maximum(self._impact, change), 0.0))
+        self._flew.copy_(jumps & (self._flew | flies.all(dim=1)))
+        self._jumped.copy_(jumps)
+        self._last.copy_(velocity)
+        return value
+
+
+def while_commanded(env: Env, term: str, command_name: str) -> torch.Tensor:
+    """Value of the reward term ``term`` while the command's first component is not 0, else 0. Not in Isaac Lab.
+
+    In such a phase, for example a jump, its weight adds to that of ``term``, which must be a function.
+    """
+    value: torch.Tensor = env.reward_manager.get_term_cfg(term)(env)
+    return value * (env.command_manager.get_command(command_name)[:, 0] != 0.0)
 
 
 def track_base_tilt_exp(env: Env, std: Positive, command_name: str, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

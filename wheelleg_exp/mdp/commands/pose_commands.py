@@ -397,6 +397,8 @@ class JumpCommand(CommandTerm):
 
     Args:
         window_s: time in which the robot must jump, s.
+        heights: range of the commanded clearance of the wheels, m, of which a jump before a step, or of a user, has the
+            largest; null: no height is commanded.
         rel_jumping_envs: share of draws with a jump.
         velocity_command: name of a velocity command before this one; null means no jumps before steps.
         ahead_s: time until the base reaches the point ahead, s.
@@ -406,6 +408,7 @@ class JumpCommand(CommandTerm):
 
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
+        heights: clearance that the next or present jump must reach, m, (N, 1), or (N, 0) without commanded heights.
     """
 
     def __init__(
@@ -420,6 +423,7 @@ class JumpCommand(CommandTerm):
         rise: Positive = 0.004,
         trigger: Literal["step", "bump"] = "step",
         bump: Mapping[_Bump, Positive] | None = None,
+        heights: PositiveInterval | None = None,
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
@@ -429,11 +433,17 @@ class JumpCommand(CommandTerm):
         self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
-        self._command = self.buffer("_command", torch.zeros(env.num_envs, 1, device=env.device))
+        width = 0 if heights is None else 1
+        self._lowest, self._highest = heights or (0.0, 0.0)
+        self.heights = self.buffer("heights", torch.zeros(env.num_envs, width, device=env.device))
+        self._command = self.buffer("_command", torch.zeros(env.num_envs, 1 + width, device=env.device))
 
     @property
     def command(self) -> torch.Tensor:
-        """The remaining share of the time to jump, (N, 1): 1 at the start of the window; 0 outside the window."""
+        """The remaining share of the time to jump, and the height of the jump, m; 0 outside the window.
+
+        The shape is (N, 2), or (N, 1) without commanded heights. The share is 1 at the start of the window.
+        """
         return self._command
 
     def errors(self) -> torch.Tensor:
@@ -442,13 +452,17 @@ class JumpCommand(CommandTerm):
     def draw(self, env_ids: torch.Tensor) -> None:
         u = torch.rand(len(env_ids), generator=self._generator, device=self._command.device)
         self.is_jumping_env[env_ids] = u < self.share
+        size = (len(env_ids), self.heights.shape[1])
+        u = torch.rand(size, generator=self._generator, device=self._command.device)
+        self.heights[env_ids] = self._lowest + (self._highest - self._lowest) * u
         self._command.index_fill_(0, env_ids, 0.0)
 
     def start(self, where: torch.Tensor) -> None:
         """Start a jump in the environments of the mask ``where``, (N,)."""
         self.is_jumping_env.logical_or_(where)
         self.time_left.masked_fill_(where, self.window_s)
-        self._command.masked_fill_(where.unsqueeze(1), 1.0)
+        self.heights.masked_fill_(where.unsqueeze(1), self._highest)
+        self._show()
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:
         if self.bump is not None:
@@ -468,5 +482,10 @@ class JumpCommand(CommandTerm):
             here = data.root_pos_w[:, :2]
             is_before_step = height_at(here + forwards * way) - height_at(here) > self._rise
             self.start(is_before_step & (self._command[:, 0] == 0.0))
+        self._show()
+
+    def _show(self) -> None:
+        """Compute the command from the time that is left and the height."""
         left = (self.time_left / self.window_s).clamp(min=0.0)
         self._command[:, 0] = left.masked_fill(~self.is_jumping_env | (left > 1.0), 0.0)
+        self._command[:, 1:] = self.heights * (self._command[:, :1] > 0.0)
