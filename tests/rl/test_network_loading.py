@@ -108,3 +108,22 @@ def test_an_unsupported_loss_is_refused(make_trainer, words, key, message):
     with pytest.raises(ConfigError, match=message) as caught:
         make_trainer(*words, initial=initial)
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize("words", [(), NORMALISED])
+def test_a_policy_moves_the_legs_as_before_after_their_scale_has_changed(make_trainer, words):
+    before = make_trainer(*words, seed=7)
+    list(before.learn(until=1))
+    scale = float(before.env.cfg["actions"]["leg_pos"]["scale"])
+    initial = Initial(before.state_dict(), ("actor", "critic"), {"scales": {"leg_pos": 0.5}})
+    after = make_trainer(*words, f"env.actions.leg_pos.scale={2.0 * scale}", initial=initial)
+    seen = before.env.get_observations().clone()
+    legs = [name for name, term in before.env.env.action_manager._action_terms.items() for _ in range(term.action_dim)]
+    ratio = torch.tensor([0.5 if name == "leg_pos" else 1.0 for name in legs])
+    converted = seen.clone()
+    for group in ("policy", "critic"):
+        (last,) = before.env.env.observation_manager.term_parts(group)["last_action"]
+        converted[group][:, last] = seen[group][:, last] * ratio.repeat((last.stop - last.start) // len(ratio))
+    assert not torch.equal(converted["policy"], seen["policy"])
+    for one, other, unit in zip(before.networks(), after.networks(), (ratio, 1.0), strict=True):
+        torch.testing.assert_close(other.eval()(converted), one.eval()(seen) * unit, rtol=1e-4, atol=1e-5)

@@ -13,6 +13,7 @@ from rsl_rl.algorithms import PPO, Distillation
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
+from wheelleg_exp.env import ManagerBasedRLEnv as Env
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, not_one_of
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.rl.algorithm import build_algorithm
@@ -54,6 +55,9 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
             network, pad = state[f"{role}_state_dict"], torch.nn.functional.pad
             wide = {n: pad(network[n], (0, more), value=value) for n, value in _INPUTS.items() if n in network}
             state[f"{role}_state_dict"] = {**network, **wide}
+        if scales := initial.facts.get("scales"):
+            eps = getattr(getattr(algorithm, role).obs_normalizer, "eps", 0.0)
+            state[f"{role}_state_dict"] = _rescaled(state[f"{role}_state_dict"], scales, env.env, obs_groups[role], eps)
         has = {name: list(value.shape) for name, value in state[f"{role}_state_dict"].items()}
         needs = {name: list(value.shape) for name, value in own.items()}
         name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
@@ -68,6 +72,37 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
         message = f"the {', '.join(initial.parts)} of '{whose}' cannot be loaded: {' '.join(str(error).split())[:200]}"
         expected = "networks, or the algorithm and the optimiser that it was trained with"
         raise ConfigError(message, key="init_from_what", expected=expected) from error
+
+
+def _rescaled(
+    network: Mapping[str, torch.Tensor], scales: Mapping[str, float], env: Env, groups: Sequence[str], eps: float
+) -> dict[str, torch.Tensor]:
+    """Return a network that moves the robot as before after the scales of actions have changed.
+
+    ``scales`` maps action terms to their former over their present scale. Observations named ``last_action`` change
+    likewise. ``eps`` is what rsl_rl adds to their standard deviation. The exploration noise keeps its size in units of
+    the action.
+    """
+    terms = env.action_manager.active_terms
+    ratio = torch.cat([torch.full((env.action_manager.get_term(n).action_dim,), scales.get(n, 1.0)) for n in terms])
+    inputs = []
+    for group in groups:
+        parts = env.observation_manager.term_parts(group)
+        column = torch.ones(max(part.stop for found in parts.values() for part in found))
+        for part in parts.get("last_action", ()):
+            column[part] = ratio.repeat((part.stop - part.start) // len(ratio))
+        inputs.append(column)
+    factor, made = torch.cat(inputs), dict(network)
+    layer = made["mlp.0.weight"] / factor
+    if (deviation := made.get("obs_normalizer._std")) is not None:
+        for name, power in (("_mean", 1), ("_std", 1), ("_var", 2)):
+            made[f"obs_normalizer.{name}"] = made[f"obs_normalizer.{name}"] * factor**power
+        layer *= (factor * deviation + eps) / (deviation + eps)
+    made["mlp.0.weight"] = layer
+    last = [name for name in made if name.startswith("mlp.")][-2:]  # the weight and the bias of the last layer
+    if len(made[last[1]]) == len(ratio):  # a policy
+        made |= {name: torch.einsum("i,i...->i...", ratio, made[name]) for name in last}
+    return made
 
 
 class InitialPolicy:

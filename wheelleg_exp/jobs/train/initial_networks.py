@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Fit:
     suspects: list[ConfigError]  # ``suspects`` names changed joints and sensors that may change the observation size.
     notes: list[str]  # ``notes`` reports changed settings after which the trained policy may still work.
     further: dict[str, list[str]]  # new observation terms after all others, by network; their weights start at 0
+    scales: dict[str, float]  # former over present scale of each action term whose scale is another number
 
 
 def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of: str) -> Fit:
@@ -48,7 +49,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
 
     ``of`` names the policy's training in errors. A changed parameter of an observation function gives only a note.
     """
-    found = Fit([], [], [], {})
+    found = Fit([], [], [], {}, {})
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
         for change in changes(old_agent.get(role) or {}, agent.get(role) or {}, same):
@@ -76,6 +77,10 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
             _compare_terms(found, old, known, path, of, _TERM_KEYS, _IGNORED_KEYS)
     pair = [part.get("actions") or {} for part in (old_env, env)]
     _compare_terms(found, pair[0], pair[1], "env.actions", of, ("_target_",), ())
+    for name in (name for name in pair[1] if name in pair[0]):
+        before, after = (terms[name].get("scale") for terms in pair)
+        if {type(before), type(after)} <= {int, float} and before and after and before != after:
+            found.scales[name] = before / after
     profiles = [(part.get("robot") or {}).get("profile") for part in (old_env, env)]
     if profiles[0] != profiles[1]:
         found.notes.append(_describe_change("env.robot.profile", *profiles))
@@ -85,7 +90,7 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     if old_env.get("decimation") != env.get("decimation"):
         found.notes.append(_describe_change("env.decimation", old_env.get("decimation"), env.get("decimation")))
     mistakes = {(error.key, error.message): error for error in found.mistakes}
-    return Fit(list(mistakes.values()), found.suspects, list(dict.fromkeys(found.notes)), found.further)
+    return replace(found, mistakes=list(mistakes.values()), notes=list(dict.fromkeys(found.notes)))
 
 
 def _compare_terms(
@@ -172,7 +177,9 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         # Every checkpoint has a critic entry, so write an empty dictionary if the critic is not copied.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
-        if further := _require_fit(source, config, parts[:2], note):
+        further, scales = _require_fit(source, config, parts[:2], note)
+        facts |= {"scales": scales} if scales else {}
+        if further:
             if "optimizer" in parts:
                 message = f"the optimiser of '{source.label}' does not know the new observations"
                 raise ConfigError(message, key=WHAT, expected="networks or policy")
@@ -224,19 +231,21 @@ def _find(named: str, root: str) -> _Source:
 
 def _require_fit(
     source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]
-) -> dict[str, list[str]]:
-    """Raise ConfigError if the networks do not fit; return the new observation terms at the end, by network."""
+) -> tuple[dict[str, list[str]], dict[str, float]]:
+    """Raise ConfigError if the networks do not fit; return ``Fit.further`` without empty lists, and ``Fit.scales``."""
     if source.run is None:
-        return {}
+        return {}, {}
     env, agent = load_params(source.run)
     if "actor" not in agent:  # A distillation run has no config section ``actor``, so nothing is compared.
-        return {}
+        return {}, {}
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
         raise_all(found.mistakes)
     for line in found.notes:
         note(f"note: {line}; the policy of '{source.label}' was trained with the former")
-    return {role: names for role, names in found.further.items() if names}
+    for name in found.scales:
+        note(f"note: the initial networks are converted to the new scale of env.actions.{name}")
+    return {role: names for role, names in found.further.items() if names}, found.scales
 
 
 @contextmanager
