@@ -13,8 +13,8 @@ int main(int argc, char **argv) {
         out.steps = (float)guard.policy.steps;
         memset(out.commands, 0, sizeof out.commands);
 #if POLICY_HAS_BUMP
-        if (guard.phase == POLICY_RUN) memcpy(out.commands, guard.bump.command, sizeof guard.bump.command);
-        if (guard.phase == POLICY_RUN) out.commands[3] = guard.bump.left / POLICY_BUMP_WINDOW_S;
+        if (guard.phase == POLICY_RUN) memcpy(out.commands, guard.policy.bump.command, sizeof guard.policy.bump.command);
+        if (guard.phase == POLICY_RUN) out.commands[3] = guard.policy.bump.left / POLICY_BUMP_WINDOW_S;
 #endif
         fwrite(&out, size, 1, stdout);
     }
