@@ -266,7 +266,7 @@ def update_constants(spec: PolicyJson) -> Iterator[str]:
     yield _float_array("policy_effort_limit", [_NO_BOUND if limit is None else limit for limit in spec["effort_limit"]])
 
 
-_BUMP_STATE = "struct { int phase, started; float command[3], way, waited, slow, ahead, speed, left; } bump;"
+_BUMP_STATE = "struct { int phase; float command[3], way, waited, slow, ahead, speed, left; } bump;"
 
 
 def _bump_constants(spec: PolicyJson, starts: Mapping[str, int]) -> Iterator[str]:
@@ -277,8 +277,9 @@ def _bump_constants(spec: PolicyJson, starts: Mapping[str, int]) -> Iterator[str
     if bump is None:
         return
     places = {"velocity": starts[bump["velocity"]], "jump": starts[bump["jump"]], "speeds": starts["joint_vel"]}
+    places |= {"wheels": len(bump["columns"]), "numbers": spec["readings"][bump["jump"]]["width"]}
     numbers = {**bump["settings"], "dt": dt, "radius": bump["wheel_radius"]}
-    found = {**places, "wheels": len(bump["columns"]), **{name: _float(value) for name, value in numbers.items()}}
+    found = {**places, **{name: _float(value) for name, value in numbers.items()}}
     yield from (f"#define POLICY_BUMP_{name.upper()} {value}" for name, value in found.items())
     yield _array("int", "policy_bump_column", map(str, bump["columns"]))
     yield _float_array("policy_bump_sign", bump["signs"])

@@ -104,16 +104,14 @@ static inline float policy_bump_wanted(const policy_state *s, float asked) {
 static inline void policy_jump_after_bump(policy_state *s, int on, float *readings, int steps) {
     float *velocity = readings + POLICY_BUMP_VELOCITY, *jump = readings + POLICY_BUMP_JUMP, *command = s->bump.command;
     float asked = velocity[0], dt = POLICY_BUMP_DT * (float)steps, rolled = 0.0f, way, most;
-    int i, bumped, started = s->bump.started;
+    int i, bumped;
     if (!on) memset(&s->bump, 0, sizeof s->bump); /* If it is switched on, it continues from the present command. */
-    s->bump.started = 1;
     for (i = 0; i < 3; i++) {
         most = policy_bump_change[i] * (float)steps;
         command[i] = on ? command[i] + policy_clip(velocity[i] - command[i], -most, most) : velocity[i];
     }
-    if (!on) s->bump.speed = asked;
-    if (!on) return;
-    if (started) {
+    if (!on) { s->bump.speed = asked; return; }
+    if (s->steps) {
         for (i = 0; i < POLICY_BUMP_WHEELS; i++)
             rolled += policy_bump_sign[i] * readings[POLICY_BUMP_SPEEDS + policy_bump_column[i]];
         rolled = rolled / (float)POLICY_BUMP_WHEELS * POLICY_BUMP_RADIUS;
@@ -145,6 +143,7 @@ static inline void policy_jump_after_bump(policy_state *s, int on, float *readin
     }
     if (jump[0] > 0.0f && s->bump.left <= 0.0f) s->bump.left = POLICY_BUMP_WINDOW_S;
     memcpy(velocity, command, sizeof s->bump.command);
+    for (i = 1; i < POLICY_BUMP_NUMBERS; i++) jump[i] = s->bump.left > 0.0f ? jump[i] : 0.0f; /* the height, if any */
     jump[0] = s->bump.left / POLICY_BUMP_WINDOW_S;
 }
 #endif

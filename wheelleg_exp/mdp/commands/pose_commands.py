@@ -379,9 +379,8 @@ class JumpCommand(CommandTerm):
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
         self.bump_settings = Bump(**{str(key): value for key, value in (bump or {}).items()})
-        is_bump = trigger == "bump"
-        trigger_term = BumpTrigger(env, velocity_command or "", self.bump_settings) if is_bump else None
-        self.bump = self.child("bump", trigger_term)
+        bumps = BumpTrigger(env, velocity_command or "", self.bump_settings) if trigger == "bump" else None
+        self.bump = self.child("bump", bumps)
         self.velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)

@@ -207,8 +207,7 @@ class Reading:
 class Bump:
     """Drives back from a step that stopped the wheels, runs up to it, and commands a jump, as in the training.
 
-    ``spec`` is the section ``bump`` of ``policy.json``. The place of the step follows from the rotation of the wheels.
-    While ``on`` is false, the policy gets the user's commands.
+    ``spec`` is the section ``bump`` of ``policy.json``. While ``on`` is false, the policy gets the user's commands.
     """
 
     def __init__(self, spec: Any, step_dt: float) -> None:
@@ -239,7 +238,9 @@ class Bump:
         else:
             self.command = np.clip(asked, -most, most)
         self.left = window if readings[spec["jump"]][0] > 0 and not self.left else self.left
-        return {spec["velocity"]: self.command, spec["jump"]: array([self.left / window])}
+        jump = readings[spec["jump"]] * F(self.left > 0)  # the height, if any
+        jump[0] = self.left / window
+        return {spec["velocity"]: self.command, spec["jump"]: jump}
 
     def advance(self, asked: Any, rolled: Any, dt: Any, most: Any) -> None:
         """Advance by ``dt`` s; the user wants the speed ``asked``, m/s, and the wheels roll at ``rolled``, m/s."""
