@@ -279,8 +279,8 @@ def _bump_constants(spec: PolicyJson, starts: Mapping[str, int]) -> Iterator[str
     places = {"velocity": starts[bump["velocity"]], "jump": starts[bump["jump"]], "speeds": starts["joint_vel"]}
     places |= {"wheels": len(bump["columns"]), "numbers": spec["readings"][bump["jump"]]["width"]}
     numbers = {**bump["settings"], "dt": dt, "radius": bump["wheel_radius"]}
-    found = {**places, **{name: _float(value) for name, value in numbers.items()}}
-    yield from (f"#define POLICY_BUMP_{name.upper()} {value}" for name, value in found.items())
+    yield from (f"#define POLICY_BUMP_{name.upper()} {place}" for name, place in places.items())
+    yield from (f"#define POLICY_BUMP_{name.upper()} {_float(value)}" for name, value in numbers.items())
     yield _array("int", "policy_bump_column", map(str, bump["columns"]))
     yield _float_array("policy_bump_sign", bump["signs"])
     yield _float_array("policy_bump_change", [_NO_BOUND if a is None else a * dt for a in bump["max_acceleration"]])

@@ -118,8 +118,7 @@ static inline void policy_jump_after_bump(policy_state *s, int on, float *readin
         way = asked > 0.0f ? 1.0f : asked < 0.0f ? -1.0f : 0.0f;
         s->bump.left = s->bump.left > dt ? s->bump.left - dt : 0.0f;
         if (way != s->bump.way || (s->bump.phase == POLICY_OVER && s->bump.left <= 0.0f)) s->bump.phase = POLICY_FOLLOW;
-        s->bump.way = way;
-        s->bump.ahead -= way * rolled * dt;
+        s->bump.way = way, s->bump.ahead -= way * rolled * dt;
         /* Wheels that follow a changing command, or that are in the air, are slow, too. */
         i = fabsf(policy_bump_wanted(s, asked) - s->bump.speed) < 1e-6f && s->bump.left <= 0.0f && fabsf(way) > 0.0f;
         s->bump.waited = i ? s->bump.waited + dt : 0.0f;
