@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from evaluation.conftest import balancer, not_numbers, protocol, words, zeros
+from wheelleg_exp.build import prepare_asset
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import Evaluation, evaluate
 from wheelleg_exp.evaluation.protocol_options import Protocol
@@ -75,6 +77,29 @@ def test_every_tile_gets_its_episodes_and_a_falling_policy_succeeds_on_no_tile(t
     assert set(counts) == {2}
     assert found.value("terrain/success") == 0.0
     assert {found.value(f"terrain/levels_passed/{kind}") for kind in kinds_left} == {0.0}
+
+
+def test_a_policy_with_a_jump_command_drives_onto_the_same_steps_blindly_and_other_policies_skip_them(task):
+    jumping = compose(["task=jump", "robot=physical"]).config
+    short = [*words("terrain", episodes=1, levels=2, horizon_s=1.5), *words("bump", episodes=2, horizon_s=1.2)]
+    short += words("terrain.scene.terrain.sub_terrains", stairs_down="null", stairs_up="null", step_down="null")
+    triggers = []
+
+    def noting(env):
+        term = env.command_manager.get_term("jump")
+        triggers.append((env.num_envs, term.bump is not None))
+        return zeros(env)
+
+    made = evaluate(jumping["env"], prepare_asset(jumping).output, noting, protocol("steps", *short))
+    assert triggers == [(2, False), (12, True)]
+    levels = ("5mm", "10mm", "15mm", "20mm", "25mm", "30mm")
+    assert [made.metrics[f"bump/success/step_up/{level}"].episodes for level in levels] == [2] * 6
+    without = evaluate(*task, zeros, protocol("steps", *short))
+    assert set(without.episodes["test"]) == {"terrain"}
+    assert without.metrics["bump/success"].episodes == 0
+    assert without.scenarios_sha256 == made.scenarios_sha256
+    with pytest.raises(ConfigError, match="commands no jump"):
+        evaluate(*task, zeros, protocol("steps", *short, "protocol.terrain=null"))
 
 
 def test_an_unknown_command_and_an_unknown_key_are_rejected(task):

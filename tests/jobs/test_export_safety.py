@@ -94,7 +94,7 @@ class Loop:
     def update(self, readings: dict, time: float, now: float) -> None:
         self.targets = self.policy.update(readings, time, now)
         self.inputs.append((readings, time, now))
-        self.outputs.append(self.targets | {"steps": self.policy.steps})
+        self.outputs.append(self.targets | {"steps": self.policy.steps, "commands": self.policy.commands})
 
     @property
     def statuses(self) -> list[int]:
@@ -105,7 +105,9 @@ class Loop:
         spec = self.policy.spec
         rows = np.stack([self.row(found) for found in self.outputs])
         assert np.isfinite(rows).all()
-        position, velocity, effort = rows[:, 3:].reshape(len(rows), 3, -1).transpose(1, 0, 2)
+        position, velocity, effort = (
+            rows[:, 3 : 3 + 3 * len(spec["joint_names"])].reshape(len(rows), 3, -1).transpose(1, 0, 2)
+        )
         assert 0 <= rows[:, 1].min() <= rows[:, 1].max() <= 1
         low, high = np.array(spec["joint_pos_limits"][:4], np.float32).T
         assert ((position[:, :4] >= low) & (position[:, :4] <= high)).all()
@@ -115,10 +117,14 @@ class Loop:
             found = self.in_c()
             np.testing.assert_array_equal(found[:, 0], rows[:, 0])
             assert (np.abs(found - rows) / np.maximum(1, np.abs(rows))).max() <= 1e-5
+            if self.policy.bump is not None:
+                np.testing.assert_allclose(found[:, -4:], rows[:, -4:], atol=1e-6, err_msg="commands")
 
     def row(self, found: dict) -> np.ndarray:
         targets = [found[name] for name in ("position", "velocity", "effort")]
-        return np.concatenate([[found["status"], found["gain"], found["steps"]], *targets]).astype(np.float32)
+        commands = [] if self.policy.bump is None else [*(found["commands"].values() or [[0.0] * 4])]
+        numbers = [found["status"], found["gain"], found["steps"]]
+        return np.concatenate([numbers, *targets, *commands]).astype(np.float32)
 
     def in_c(self) -> np.ndarray:
         """Return status, gain, and targets of ``policy_update`` for the same inputs."""
@@ -316,6 +322,55 @@ def test_random_garbage_never_gives_targets_beyond_the_limits(startup, bundle):
     for step in range(600):
         loop.step(garbage if step % 100 > 80 else None, held_up=step < 300)
     assert set(loop.statuses) >= ({STARTING} if startup else {OK, HELD, LATE, STOPPED})
+    loop.check()
+
+
+@pytest.fixture(scope="module")
+def jumping(bundle, tmp_path_factory) -> Path:
+    """The bundle with a jump command, and with a trigger that makes the robot jump after a bump."""
+    folder = shutil.copytree(bundle, tmp_path_factory.mktemp("jumping") / "bundle")
+    (folder / "driver").unlink(missing_ok=True)
+    spec = json.loads((folder / "policy.json").read_text())
+    spec["readings"]["commands.jump"] = {"width": 1, "unit": "1", "meaning": "a jump"}
+    rules = spec["safety"]["readings"]
+    rules["commands.jump"] = rules["commands.base_velocity"] | {"low": [0.0], "high": [1.0], "max_jump": [None]}
+    rules["commands.base_velocity"] |= {"low": [-0.5] * 3, "high": [0.5] * 3}
+    spec["bump"] = {
+        **{"on": True, "jump": "commands.jump", "velocity": "commands.base_velocity", "columns": [4, 5]},
+        **{"signs": [1.0, -1.0], "wheel_radius": 0.02, "max_acceleration": [1.5, None, 3.0]},
+    }
+    seconds = {"window_s": 0.3, "stopped_s": 0.06, "wait_s": 0.1, "before_s": 0.11}
+    spec["bump"]["settings"] = seconds | {"stopped_share": 0.35, "back": 0.2, "run_up": 0.3}
+    (folder / "policy.json").write_text(json.dumps(spec))
+    with np.load(folder / "policy.npz") as arrays:
+        (folder / "policy.h").write_text(c_header(spec, dict(arrays)))
+    return folder
+
+
+@pytest.mark.parametrize("name", [*FAULTS, "the user stops and returns", "the user wants a jump"])
+def test_a_robot_jumps_onto_a_step_after_a_bump_and_after_a_fault(name, jumping):
+    loop, place, rolled, phases = Loop(jumping), 0.0, 0.0, []
+    steps, change, _ = FAULTS.get(name, (30, put("commands.base_velocity", [0.0, 0.0, 0.2]), []))
+    change = put("commands.jump", [1.0]) if "wants" in name else change
+    for step in range(900):
+        time = loop.steps * loop.dt
+        readings = {"base_ang_vel": np.zeros(3), "base_quat": np.array([1.0, 0.0, 0.0, 0.0])}
+        readings |= {"joint_pos": np.array(loop.policy.spec["default_joint_pos"])}
+        readings |= {"joint_vel": np.array([0.0, 0.0, 0.0, 0.0, rolled / 0.02, -rolled / 0.02])}
+        readings |= {"commands.base_velocity": np.array([0.2, 0.0, 0.1]), "commands.jump": np.zeros(1)}
+        given = (readings, time, time)
+        given = change(*given) if START <= step < START + steps else given
+        loop.steps += 1
+        if given is not None:
+            loop.update(*given)
+            phases.append(loop.policy.bump.phase)
+        speed, jump = (found[0] for found in loop.policy.commands.values() or [[0.0], [0.0]])
+        blocked = speed > 0 and 0.04 <= place < 0.06 and not jump
+        rolled = 0.0 if blocked else rolled + 0.5 * (speed - rolled)
+        place += rolled * loop.dt
+    assert phases[START - 1] == runner.BACK
+    assert place > 0.5, "the robot is on the step"
+    assert phases[-1] == runner.FOLLOW
     loop.check()
 
 

@@ -7,6 +7,8 @@ import torch
 from sim.small_envs import ASSETS, env_config, env_of, run, variant
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.jobs.export.bundle import runner
+from wheelleg_exp.jobs.export.bundle_specification import bump_spec
 from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 from wheelleg_exp.sim.terrain import Plane
 
@@ -497,3 +499,47 @@ def test_neither_a_reversal_nor_a_jump_is_a_bump_and_a_reset_forgets_one(start_e
     assert (travel.command[:, 0] > -0.5).all()  # forwards, away from what is behind the robot
     env.command_manager.reset(torch.tensor([1]))
     assert term.bump.phase.tolist() == [1, 0]
+
+
+def test_the_exported_runner_repeats_the_commands_of_the_simulation(start_env, monkeypatch):
+    """Two robots before a step at 0.5 m; the second user stops during the way back, drives backwards, and returns."""
+    radius, place, speeds = np.float32(0.1), torch.tensor([0.0, 0.47]), torch.zeros(2)
+    monkeypatch.setattr(UniformVelocityTravelCommand, "rolled", property(lambda _: speeds * float(radius)))
+    env, travel, term = _bump_env(start_env)
+    wheels = {"function": "travel_error", "command": "commands.drive", "columns": [0], "signs": [1.0]}
+    spec = bump_spec(env, [{"terms": [wheels | {"wheel_radius": float(radius)}]}], ["drive", "jump"])
+    found = [runner.Bump(spec, env.step_dt) for _ in range(2)]
+    dt, phases, asked, first, jumped = env.step_dt, [set(), set()], [[0.2, 0.0, 0.3]] * 2, True, False
+    env.reset()
+    travel.asked[:] = torch.tensor(asked)
+    travel.command.copy_(travel.asked.clamp(-travel._fastest, travel._fastest))
+    for step in range(round(20.0 / dt)):
+        for moment, speed in ((0.8, 0.0), (2.0, -0.3), (3.5, 0.2), (9.0, -0.2), (9.5, 0.2)):
+            if step == round(moment / dt):
+                asked = [asked[0], [speed, 0.0, 0.3]]
+        if not first:
+            travel.asked[:] = torch.tensor(asked)
+            env.command_manager.compute(dt)
+        first = False
+        if step == round(17.0 / dt):
+            term.start(torch.tensor([False, True]))  # The user wants a jump.
+            jumped = True
+        for i, bump in enumerate(found):
+            readings = {"joint_vel": speeds[i : i + 1].numpy(), "commands.jump": np.array([float(jumped and i)], "f")}
+            sent = bump.commands(readings | {"commands.drive": np.array(asked[i], "f")}, 1)
+            np.testing.assert_allclose(sent["commands.drive"], travel.command[i], atol=1e-6, err_msg=str(step))
+            np.testing.assert_allclose(sent["commands.jump"], term.command[i], atol=1e-6, err_msg=str(step))
+            assert bump.phase == int(term.bump.phase[i])
+            phases[i].add(bump.phase)
+        jumped = False
+        command = travel.command[:, 0]
+        blocked = (place >= 0.5) & (command > 0.0) & (term.command[:, 0] == 0.0) & (place < 0.52)
+        speeds.copy_(torch.where(blocked, torch.zeros(2), speeds + 0.4 * (command / float(radius) - speeds)))
+        place += speeds * radius * dt
+    assert phases == [{0, 1, 2, 3}] * 2
+    assert float(place.min()) > 0.8
+    found[0].on = False
+    assert found[0].commands({"commands.drive": np.array([0.1, 0.0, 0.0], "f")}, 1) == {}
+    found[0].on, still = True, {"joint_vel": np.zeros(1, "f"), "commands.jump": np.zeros(1, "f")}
+    sent = found[0].commands(still | {"commands.drive": np.array([0.1, 0.0, 0.0], "f")}, 1)
+    np.testing.assert_allclose(sent["commands.drive"], [0.1, 0.0, 0.0], atol=1e-6)

@@ -227,8 +227,9 @@ def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, o
     settings = options if isinstance(options, Mapping) else {}
     if test == "walk":
         found = _of_walking(columns, float(settings.get("band", 0.1)))
-    elif test == "terrain":
-        found = _of_terrain(columns, float(settings.get("pass_share", 0.9)))
+    elif test in ("terrain", "bump"):
+        terrain = _of_terrain(columns, float(settings.get("pass_share", 0.9)))
+        found = (replace(metric, name=metric.name.replace("terrain", test, 1)) for metric in terrain)
     else:
         found = _WITHOUT_OPTIONS[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +15,7 @@ import numpy as np
 import torch
 
 from wheelleg_exp.env import ManagerBasedRLEnv
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation import disturbance_tests, motion_columns, protocol_options, scenarios
 from wheelleg_exp.evaluation.evaluation_env import build, evaluation_options, on_ground, target_heights
 from wheelleg_exp.evaluation.metric_catalogue import POSTURE, Array, figure, measured, metrics_of
@@ -25,6 +28,7 @@ from wheelleg_exp.evaluation.trajectories import Trajectories
 from wheelleg_exp.sim.options import EnvOptions, read_env
 from wheelleg_exp.terms.config_sections import read_section
 
+_UNMEASURED = Figure(math.nan, math.nan, math.nan, 0, better="higher")
 MakePolicy = Callable[[ManagerBasedRLEnv], Policy]
 Progress = Callable[[str, int, int], None]
 
@@ -42,8 +46,15 @@ class Subject:
 
     def options(self, table: Scenarios) -> EnvOptions:
         """Return the environment's options with one environment for each episode of a table of test scenarios."""
-        protocol = self.protocol
-        return evaluation_options(self.env, protocol, table.size, table.horizon_s, protocol.ground)
+        protocol, env = self.protocol, self.env
+        if table.test == "bump":
+            jump = {**env.commands["jump"], "trigger": "bump", "velocity_command": protocol.command}
+            env = replace(env, commands={**env.commands, "jump": jump})
+        return evaluation_options(env, protocol, table.size, table.horizon_s, protocol.ground)
+
+    def skips(self, table: Scenarios) -> bool:
+        """Return whether a test is left out, because it needs a command named ``jump`` that the task lacks."""
+        return table.test == "bump" and "jump" not in self.env.commands
 
     def rollout(self, table: Scenarios, env: EnvOptions) -> Rollout:
         """Build an environment that simulates all episodes of a table of test scenarios in parallel."""
@@ -80,8 +91,10 @@ def evaluate(
     seed = options.seed if seed is None else seed
     subject = Subject(read_env(env_cfg), mjcf, make_policy, options, seed, progress)
     tables = _tables(options)
-    parts = [_run(subject, table) for table in tables]
-    found: dict[str, Figure] = {}
+    parts = [_run(subject, table) for table in tables if not subject.skips(table)]
+    if not parts:
+        raise ConfigError("the task commands no jump", key="env.commands", expected="a JumpCommand named jump")
+    found = {f"{table.test}/success": _UNMEASURED for table in tables if subject.skips(table)}
     for part in parts:
         for metric in metrics_of(part.test, part.columns, protocol):
             found[metric.name] = figure(metric, part.columns, seed, options.resamples)
@@ -96,7 +109,7 @@ def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, o
     """Return the names of the metrics of ``evaluate`` without a simulation; ConfigError if the task lacks a command."""
     options, found = read_section(protocol_options.Protocol, protocol, "protocol"), list[str]()
     subject = Subject(read_env(env), mjcf, lambda _: lambda _: torch.empty(0), options, options.seed)
-    for table in _tables(options):
+    for table in itertools.filterfalse(subject.skips, _tables(options)):
         rollout = _placed(subject, replace(table, episodes=1))
         width = rollout.env.action_manager.total_action_dim
         made = Trajectories.empty(rollout.steps, rollout.env.num_envs, rollout.parts, width, rollout.env)
@@ -139,6 +152,7 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
     "jump": scenarios.jumping,
     "get_up": scenarios.getting_up,
     "terrain": scenarios.on_terrain,
+    "bump": lambda options: replace(scenarios.on_terrain(options), test="bump"),
     "strip": scenarios.over_strips,
     "robust": scenarios.in_changed_world,
 }
@@ -168,9 +182,9 @@ def _run(subject: Subject, table: Scenarios) -> Part:
 
 def _placed(subject: Subject, table: Scenarios) -> Rollout:
     env, options = subject.options(table), subject.protocol
-    if table.test == "terrain" and options.terrain is not None:
-        rollout = subject.rollout(table, on_ground(env, disturbance_tests.tiles(options.terrain, subject.seed)))
-        disturbance_tests.place_on_tiles(rollout, options.terrain)
+    if isinstance(ground := getattr(options, table.test), protocol_options.Terrain):
+        rollout = subject.rollout(table, on_ground(env, disturbance_tests.tiles(ground, subject.seed)))
+        disturbance_tests.place_on_tiles(rollout, ground)
         return rollout
     if table.test == "strip" and options.strip is not None:
         ground = disturbance_tests.strip_ground(options.strip, env.scene.terrain, subject.seed)

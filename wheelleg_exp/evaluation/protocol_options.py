@@ -34,7 +34,7 @@ def _some_step(lin_vel_x: list[float], ang_vel_z: list[float]) -> Iterator[Broke
 
 
 def _something_counts(**protocol: Any) -> Iterator[Broken]:
-    tests, settle = ("stand", "walk", "height", "terrain", "strip", "robust"), protocol["settle_s"]
+    tests, settle = ("stand", "walk", "height", "terrain", "bump", "strip", "robust"), protocol["settle_s"]
     lengths = {f"{test}.horizon_s": protocol[test]["horizon_s"] for test in tests if protocol[test] is not None}
     if (steps := protocol["steps"]) is not None:
         lengths["steps.drive_s"] = steps["stand_s"] + 3 * steps["drive_s"]
@@ -45,7 +45,7 @@ def _something_counts(**protocol: Any) -> Iterator[Broken]:
                 expected = f"at most {options['after_s']:g}, the value of after_s"
                 yield Broken(f"{test}.recovered_s", "recovered_s is longer than the time after at_s", expected)
     if not lengths:
-        expected = "one of stand, walk, height, steps, push, jump, get_up, terrain, strip, robust that is not null"
+        expected = "one of stand, walk, height, steps, push, jump, get_up, terrain, bump, strip, robust, not null"
         yield Broken("", "the protocol has no test", expected)
     for key, seconds in lengths.items():
         if seconds <= settle:
@@ -241,7 +241,7 @@ class Jump:
 
 @dataclass(frozen=True)
 class Terrain:
-    """``protocol.terrain``: driving straight on one tile per episode, by kind and level.
+    """``protocol.terrain`` and ``protocol.bump``: driving straight on one tile per episode, by kind and level.
 
     Attributes:
         episodes: number of episodes per tile.
@@ -425,6 +425,7 @@ class Protocol:
         jump: a commanded jump.
         get_up: getting up from resting poses.
         terrain: driving over tiles of rough ground.
+        bump: the same, with jumps after bumps; skipped if the task has no jump command.
         strip: driving from level ground over rough ground and back.
         robust: standing and driving in a changed world.
     """
@@ -449,6 +450,7 @@ class Protocol:
     jump: Jump | None = None
     get_up: GetUp | None = None
     terrain: Terrain | None = None
+    bump: Terrain | None = None
     strip: Strip | None = None
     robust: Robust | None = None
 

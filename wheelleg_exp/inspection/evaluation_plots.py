@@ -169,6 +169,7 @@ _TESTS: Mapping[str, Callable[[Episodes], list[Panel]]] = {
     "walk": _of_walking,
     "push": _of_pushing,
     "terrain": _of_terrain,
+    "bump": _of_terrain,
     "robust": _of_worlds,
 }
 

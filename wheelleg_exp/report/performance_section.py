@@ -218,7 +218,7 @@ def _scaled(value: object, factor: float, unit: str) -> str:
 
 _DEGREES = {"rad": "°", "rad/s": "°/s"}
 _TITLES = {"stand": "Standing", "walk": "Following commands", "steps": "Steps of the command", "push": "Pushes"}
-_TITLES |= {"height": "Commanded heights", "jump": "Jumps", "get_up": "Getting up"}
+_TITLES |= {"height": "Commanded heights", "jump": "Jumps", "bump": "Jumps after bumps", "get_up": "Getting up"}
 _TITLES |= {"terrain": "Rough ground", "strip": "Onto rough ground and off it", "robust": "A changed world"}
 _SHOWN_FIRST = 12  # For each evaluation test, the report shows the first 12 metrics and collapses the others.
 

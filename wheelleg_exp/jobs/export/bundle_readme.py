@@ -40,6 +40,11 @@ log.write(time, {...}, targets)       # targets["gain"]: multiply the drives' st
 changes nothing, and the caller must decide what the drives do."""
 
 
+_BUMP = """With `policy.bump.on = True` (in C `guard.jumps_after_bump = 1`), `update` makes the robot jump onto a step
+that stopped its wheels: drive back, run up, jump. `update` then limits the acceleration of the command, and a jump
+command above 0 starts a jump. The section `bump` of `policy.json` has the settings; `on` is the value at the start."""
+
+
 def _safety(spec: PolicyJson) -> list[str]:
     """Return the sections about start-up, bad readings, falls, and the control rate."""
     rules, codes = spec["safety"], spec["safety"]["status"]
@@ -127,6 +132,7 @@ def readme(spec: PolicyJson, files: Sequence[str], notes: Sequence[str]) -> str:
         ),
         *_commands(spec["commands"]),
         *_accelerations(spec["command_accelerations"]),
+        "" if spec["bump"] is None else _BUMP,
         "## Joints, in order",
         _table(
             ("#", "joint", "default, rad", "stiffness, N·m/rad", "damping, N·m·s/rad", "effort, N·m", "speed, rad/s"),

@@ -23,6 +23,7 @@ from wheelleg_exp.jobs.export.bundle.runner import projected_gravity
 from wheelleg_exp.jobs.export.exported_observations import COMMANDS, observation_specs, reading, readings_of
 from wheelleg_exp.jobs.export.policy_json import ActionLaw, ActionTerm, Drive, Limits, Robot
 from wheelleg_exp.mdp import actions
+from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.sim import actuators
 from wheelleg_exp.sim.actuators.actuator_base import ActuatorBase
 from wheelleg_exp.sim.sensors import Imu
@@ -285,6 +286,7 @@ def specification(
         },
         "commands": {name: dict(ranges.get(name, {})) for name in commands},
         "command_accelerations": _accelerations(env, commands),
+        "bump": bump_spec(env, groups, commands),
         "observation_width": sum(
             int(term["width"]) * max(1, int(term["history_length"])) for group in groups for term in group["terms"]
         ),
@@ -391,6 +393,27 @@ def _accelerations(env: ManagerBasedRLEnv, commands: list[str]) -> dict[str, Lim
         if most is not None and any(limit is not None for limit in most):
             found[name] = list(most)
     return found
+
+
+def bump_spec(
+    env: ManagerBasedRLEnv, groups: list[policy_json.ObservationGroup], commands: list[str]
+) -> policy_json.Bump | None:
+    """Return the bump trigger of the first jump command; None unless the policy observes the command's travel error."""
+    terms = {name: env.command_manager.get_term(name) for name in commands}
+    travels = {term["command"]: term for group in groups for term in group["terms"] if "wheel_radius" in term}
+    for name, term in terms.items():
+        if isinstance(term, JumpCommand) and (travel := travels.get(f"{COMMANDS}{term.velocity_command}")):
+            return {
+                "on": term.bump is not None,
+                "jump": COMMANDS + name,
+                "velocity": travel["command"],
+                "columns": travel["columns"],
+                "signs": travel["signs"],
+                "wheel_radius": travel["wheel_radius"],
+                "max_acceleration": _accelerations(env, commands).get(str(term.velocity_command), [None] * 3),
+                "settings": {"window_s": term.window_s, **vars(term.bump_settings)},
+            }
+    return None
 
 
 def _imus(env: ManagerBasedRLEnv, readings: list[str]) -> dict[str, policy_json.Imu]:

@@ -210,6 +210,7 @@ def c_header(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> str:
     update = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8").rstrip()
     memory = [line for name, term in terms for line in term_memory(name, term)]
     memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
+    memory += [] if spec["bump"] is None else [_BUMP_STATE]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
     processed = [line for name, term in actions for line in action_lines(name, term)]
     return _HEADER.format(
@@ -271,6 +272,7 @@ def update_constants(spec: PolicyJson) -> Iterator[str]:
     yield f"#define POLICY_READING_COLUMNS {_string(','.join(read))}"
     yield f"#define POLICY_TARGET_COLUMNS {_string(','.join(sent))}"
     starts = [sum(widths[:k]) for k in range(len(widths))]
+    yield from _bump_constants(spec, dict(zip(names, starts, strict=True)))
     table = zip(starts, widths, (_CHECKS.index(rule["check"]) for rule in rules), strict=True)
     yield "static const int policy_rule[POLICY_KINDS][3] = { /* first number, width, check */"
     yield ",\n".join(f"    {{{a}, {b}, {c}}}" for a, b, c in table) + "};"
@@ -286,6 +288,26 @@ def update_constants(spec: PolicyJson) -> Iterator[str]:
         ends = [(pair[side], (2 * side - 1) * _NO_BOUND) for pair in spec["joint_pos_limits"]]
         yield _float_array(f"policy_position_{name}", [missing if end is None else end for end, missing in ends])
     yield _float_array("policy_effort_limit", [_NO_BOUND if limit is None else limit for limit in spec["effort_limit"]])
+
+
+_BUMP_STATE = "struct { int phase; float command[3], way, waited, slow, ahead, speed, left; } bump;"
+
+
+def _bump_constants(spec: PolicyJson, starts: Mapping[str, int]) -> Iterator[str]:
+    """Yield the constants of the bump trigger; ``starts`` has the first number of each reading."""
+    bump, dt = spec["bump"], spec["step_dt"]
+    yield f"#define POLICY_HAS_BUMP {int(bump is not None)}"
+    yield f"#define POLICY_BUMP_ON {int(bump is not None and bump['on'])}"
+    if bump is None:
+        return
+    places = {"velocity": starts[bump["velocity"]], "jump": starts[bump["jump"]], "speeds": starts["joint_vel"]}
+    places |= {"wheels": len(bump["columns"]), "numbers": spec["readings"][bump["jump"]]["width"]}
+    numbers = {**bump["settings"], "dt": dt, "radius": bump["wheel_radius"]}
+    yield from (f"#define POLICY_BUMP_{name.upper()} {place}" for name, place in places.items())
+    yield from (f"#define POLICY_BUMP_{name.upper()} {_float(value)}" for name, value in numbers.items())
+    yield _array("int", "policy_bump_column", map(str, bump["columns"]))
+    yield _float_array("policy_bump_sign", bump["signs"])
+    yield _float_array("policy_bump_change", [_NO_BOUND if a is None else a * dt for a in bump["max_acceleration"]])
 
 
 def _float(value: float) -> str:

@@ -36,6 +36,7 @@ from wheelleg_exp.jobs.saved_robot import REPORT, saved_mjcf
 from wheelleg_exp.jobs.torch_threads import set_threads
 from wheelleg_exp.machine import require_memory
 from wheelleg_exp.managers.scene_manager import SceneManager
+from wheelleg_exp.mdp.commands import JumpCommand
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.rl import export as formats
 from wheelleg_exp.rl.network_loading import load_policy
@@ -243,10 +244,11 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, object]) -> dict[str, di
     """Return the command ranges at the end of training, which a curriculum may have widened."""
     found: dict[str, dict[str, list[float]]] = {}
     for name in env.command_manager.active_terms:
-        ranges = dict(getattr(env.command_manager.get_term(name), "ranges", {}) or {})
+        command = env.command_manager.get_term(name)
+        ranges = {"jump": [0.0, 1.0]} if isinstance(command, JumpCommand) else getattr(command, "ranges", None) or {}
         term = checkpoints.env_state(state).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
         changed = (term.get("object") or {}).get("ranges")
-        found[name] = ranges if changed is None else changed
+        found[name] = dict(ranges) if changed is None else changed
     return found
 
 

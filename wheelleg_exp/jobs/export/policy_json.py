@@ -177,6 +177,19 @@ class Safety(TypedDict):
     start: dict[str, float]
 
 
+class Bump(TypedDict):
+    """How the policy jumps onto a step that stopped its wheels: readings, wheels, and the settings of the command."""
+
+    on: bool
+    jump: str
+    velocity: str
+    columns: list[int]
+    signs: list[float]
+    wheel_radius: float
+    max_acceleration: Limits
+    settings: dict[str, float]
+
+
 class Imu(TypedDict):
     """The pose of an IMU on its body."""
 
@@ -224,6 +237,7 @@ class Robot(PerJoint):
     readings: dict[str, Reading]
     commands: dict[str, dict[str, list[float]]]
     command_accelerations: dict[str, Limits]
+    bump: Bump | None
     observation_width: int
     observations: list[ObservationGroup]
     action_width: int

@@ -1,12 +1,14 @@
 /* The part of policy.h that is the same for all policies; c_header.py writes the constants. Copied into policy.h. */
 enum { POLICY_BOUNDS, POLICY_UNIT_VECTOR, POLICY_COMMAND, POLICY_ENCODER };
 enum { POLICY_REST, POLICY_LIFT, POLICY_RUN, POLICY_STOP };
+enum { POLICY_FOLLOW, POLICY_BACK, POLICY_RUN_UP, POLICY_OVER }; /* after a bump */
 enum { POLICY_MOST_STEPS = 10000 };
 #define POLICY_TURN 6.2831853071795865f
 typedef char policy_readings_have_no_padding[sizeof(policy_readings) == POLICY_NUMBERS * sizeof(float) ? 1 : -1];
 
 typedef struct {
     policy_state policy;
+    int jumps_after_bump;        /* 0 or 1; the policy gets the user's commands while it is 0 */
     policy_targets sent, before; /* before: the outputs at the start of the phase */
     float sent_gain, before_gain;
     float last[POLICY_NUMBERS];  /* the last good readings, in the order of policy_readings */
@@ -23,6 +25,7 @@ static inline void policy_begin(policy_guard *g, int startup) {
     memset(g, 0, sizeof *g);
     g->phase = startup ? POLICY_REST : POLICY_RUN;
     g->reason = POLICY_STOPPED;
+    g->jumps_after_bump = POLICY_BUMP_ON;
     for (i = 0; i < POLICY_KINDS; i++) g->gap[i] = -1;
     for (i = 0; i < POLICY_JOINTS; i++) g->sent.position[i] = policy_default_joint_pos[i];
     g->sent_gain = startup ? 0.0f : 1.0f;
@@ -91,6 +94,59 @@ static inline void policy_enter(policy_guard *g, int phase, int reason) {
     if (phase == POLICY_RUN) policy_reset(&g->policy);
 }
 
+#if POLICY_HAS_BUMP
+static inline float policy_bump_wanted(const policy_state *s, float asked) {
+    float run_up = asked > 0.0f ? POLICY_BUMP_RUN_UP : asked < 0.0f ? -(POLICY_BUMP_RUN_UP) : 0.0f;
+    return s->bump.phase == POLICY_FOLLOW ? asked : s->bump.phase == POLICY_BACK ? -run_up : run_up;
+}
+
+/* Replace the user's commands among the readings: drive back from a step that stopped the wheels, run up, and jump. */
+static inline void policy_jump_after_bump(policy_state *s, int on, float *readings, int steps) {
+    float *velocity = readings + POLICY_BUMP_VELOCITY, *jump = readings + POLICY_BUMP_JUMP, *command = s->bump.command;
+    float asked = velocity[0], dt = POLICY_BUMP_DT * (float)steps, rolled = 0.0f, way, most;
+    int i, bumped;
+    if (!on) memset(&s->bump, 0, sizeof s->bump); /* If it is switched on, it continues from the present command. */
+    for (i = 0; i < 3; i++) {
+        most = policy_bump_change[i] * (float)steps;
+        command[i] = on ? command[i] + policy_clip(velocity[i] - command[i], -most, most) : velocity[i];
+    }
+    if (!on) { s->bump.speed = asked; return; }
+    if (s->steps) {
+        for (i = 0; i < POLICY_BUMP_WHEELS; i++)
+            rolled += policy_bump_sign[i] * readings[POLICY_BUMP_SPEEDS + policy_bump_column[i]];
+        rolled = rolled / (float)POLICY_BUMP_WHEELS * POLICY_BUMP_RADIUS;
+        way = asked > 0.0f ? 1.0f : asked < 0.0f ? -1.0f : 0.0f;
+        s->bump.left = s->bump.left > dt ? s->bump.left - dt : 0.0f;
+        if (way != s->bump.way || (s->bump.phase == POLICY_OVER && s->bump.left <= 0.0f)) s->bump.phase = POLICY_FOLLOW;
+        s->bump.way = way, s->bump.ahead -= way * rolled * dt;
+        /* Wheels that follow a changing command, or that are in the air, are slow, too. */
+        i = fabsf(policy_bump_wanted(s, asked) - s->bump.speed) < 1e-6f && s->bump.left <= 0.0f && fabsf(way) > 0.0f;
+        s->bump.waited = i ? s->bump.waited + dt : 0.0f;
+        rolled *= s->bump.speed > 0.0f ? 1.0f : s->bump.speed < 0.0f ? -1.0f : 0.0f;
+        i = rolled < POLICY_BUMP_STOPPED_SHARE * fabsf(s->bump.speed) && s->bump.waited > POLICY_BUMP_WAIT_S;
+        s->bump.slow = i ? s->bump.slow + dt : 0.0f;
+        bumped = s->bump.slow >= POLICY_BUMP_STOPPED_S;
+        if (bumped && s->bump.phase != POLICY_BACK) s->bump.ahead = 0.0f;
+        i = bumped || s->bump.ahead >= POLICY_BUMP_BACK; /* or something is behind the robot */
+        if (s->bump.phase == POLICY_BACK && i) s->bump.phase = POLICY_RUN_UP;
+        else if (bumped) s->bump.phase = POLICY_BACK;
+        i = s->bump.phase == POLICY_RUN_UP && s->bump.left <= 0.0f;
+        if (i && s->bump.ahead <= POLICY_BUMP_BEFORE_S * POLICY_BUMP_RUN_UP) {
+            s->bump.phase = POLICY_OVER;
+            s->bump.left = POLICY_BUMP_WINDOW_S;
+        }
+        most = policy_bump_change[0] * (float)steps;
+        s->bump.speed += policy_clip(policy_bump_wanted(s, asked) - s->bump.speed, -most, most);
+        command[0] = s->bump.speed;
+        if (s->bump.phase != POLICY_FOLLOW) command[2] = 0.0f; /* straight back, and straight to the step */
+    }
+    if (jump[0] > 0.0f && s->bump.left <= 0.0f) s->bump.left = POLICY_BUMP_WINDOW_S;
+    memcpy(velocity, command, sizeof s->bump.command);
+    for (i = 1; i < POLICY_BUMP_NUMBERS; i++) jump[i] = s->bump.left > 0.0f ? jump[i] : 0.0f; /* the height, if any */
+    jump[0] = s->bump.left / POLICY_BUMP_WINDOW_S;
+}
+#endif
+
 static inline float policy_ramped(const policy_guard *g, float from, float to, int steps) {
     return from + (float)(g->phase_steps < steps ? g->phase_steps : steps) / (float)steps * (to - from);
 }
@@ -124,8 +180,13 @@ static inline void policy_at_rest(policy_guard *g) {
 static inline int policy_run(policy_guard *g, int steps) {
     policy_readings readings;
     policy_targets targets;
+    float values[POLICY_NUMBERS];
     int i;
-    memcpy(&readings, g->last, sizeof readings);
+    memcpy(values, g->last, sizeof values);
+#if POLICY_HAS_BUMP
+    policy_jump_after_bump(&g->policy, g->jumps_after_bump, values, steps);
+#endif
+    memcpy(&readings, values, sizeof readings);
     if (g->policy.steps) g->policy.steps += steps - 1; /* Terms such as gait_phase count the missed steps. */
     if (policy_step(&g->policy, &readings, &targets)) return 0;
     if (!policy_finite(g->policy.action, sizeof g->policy.action) || !policy_finite(&targets, sizeof targets)) return 0;

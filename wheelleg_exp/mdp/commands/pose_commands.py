@@ -409,6 +409,7 @@ class JumpCommand(CommandTerm):
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
         heights: clearance that the next or present jump must reach, m, (N, 1), or (N, 0) without commanded heights.
+        bump_settings: settings of the trigger ``bump``, also if ``trigger`` is ``step``.
     """
 
     def __init__(
@@ -427,10 +428,10 @@ class JumpCommand(CommandTerm):
     ) -> None:
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
-        settings = Bump(**{str(key): value for key, value in (bump or {}).items()})
-        is_bump = trigger == "bump"
-        self.bump = self.child("bump", BumpTrigger(env, velocity_command or "", settings) if is_bump else None)
-        self._velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
+        self.bump_settings = Bump(**{str(key): value for key, value in (bump or {}).items()})
+        bumps = BumpTrigger(env, velocity_command or "", self.bump_settings) if trigger == "bump" else None
+        self.bump = self.child("bump", bumps)
+        self.velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
         width = 0 if heights is None else 1
@@ -475,9 +476,9 @@ class JumpCommand(CommandTerm):
     def post_process(self) -> None:
         if self.bump is not None:
             self.start(self.bump.step(self._command[:, 0] > 0.0))
-        elif self._velocity_command is not None:
+        elif self.velocity_command is not None:
             data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
-            way = self._env.command_manager.get_command(self._velocity_command)[:, :1] * self._ahead_s
+            way = self._env.command_manager.get_command(self.velocity_command)[:, :1] * self._ahead_s
             forwards = torch.stack((torch.cos(data.heading_w), torch.sin(data.heading_w)), dim=1)
             here = data.root_pos_w[:, :2]
             is_before_step = height_at(here + forwards * way) - height_at(here) > self._rise

@@ -29,6 +29,7 @@ Array = npt.NDArray[Any]
 TARGETS = ("position", "velocity", "effort")
 TURN = F(2 * np.pi)
 OK, NOT_FINITE, HELD, LATE, FALLEN, STOPPED, STARTING = range(7)  # ``safety.status`` of policy.json explains them.
+FOLLOW, BACK, RUN_UP, OVER = range(4)  # the phases of ``Bump``
 ROUNDING = F(1e-6)
 MOST_STEPS = 10_000  # A longer pause counts as this number of control steps.
 LARGEST = 2.0**64  # Sensor readings above 2**64 are rejected, because their float32 sums could overflow.
@@ -222,6 +223,73 @@ class Reading:
             self.last = np.zeros_like(self.last)
 
 
+class Bump:
+    """Drives back from a step that stopped the wheels, runs up to it, and commands a jump, as in the training.
+
+    ``spec`` is the section ``bump`` of ``policy.json``. While ``on`` is false, the policy gets the user's commands.
+    """
+
+    def __init__(self, spec: Any, step_dt: float) -> None:
+        self.spec, self.step_dt, self.on = spec, step_dt, spec["on"]
+        self.numbers = {name: F(value) for name, value in spec["settings"].items()}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the step, and start from a velocity command of 0."""
+        self.phase, self.command = FOLLOW, np.zeros(0, F)
+        self.way = self.waited = self.slow = self.ahead = self.speed = self.left = F(0)
+
+    def commands(self, readings: Mapping[str, Array], steps: int) -> dict[str, Array]:
+        """Return the commands for the policy from those of the user, ``steps`` control steps after the last call.
+
+        The velocity changes by at most ``max_acceleration``. A user's jump command above 0 starts a jump.
+        """
+        spec, window, asked = self.spec, self.numbers["window_s"], readings[self.spec["velocity"]]
+        if not self.on:
+            self.reset()
+            self.command, self.speed = asked, asked[0]
+            return {}
+        most = array([np.inf if a is None else a * self.step_dt for a in spec["max_acceleration"]]) * F(steps)
+        if len(self.command):
+            self.command = self.command + np.clip(asked - self.command, -most, most)
+            forwards = np.mean(readings["joint_vel"][spec["columns"]] * array(spec["signs"]))
+            self.advance(asked[0], forwards * F(spec["wheel_radius"]), F(self.step_dt) * F(steps), most[0])
+        else:
+            self.command = np.clip(asked, -most, most)
+        self.left = window if readings[spec["jump"]][0] > 0 and not self.left else self.left
+        jump = readings[spec["jump"]] * F(self.left > 0)  # the height, if any
+        jump[0] = self.left / window
+        return {spec["velocity"]: self.command, spec["jump"]: jump}
+
+    def advance(self, asked: Any, rolled: Any, dt: Any, most: Any) -> None:
+        """Advance by ``dt`` s; the user wants the speed ``asked``, m/s, and the wheels roll at ``rolled``, m/s."""
+        known, way, self.left = self.numbers, np.sign(asked), max(self.left - dt, F(0))
+        if way != self.way or (self.phase == OVER and not self.left):
+            self.phase = FOLLOW
+        self.way, self.ahead = way, self.ahead - way * rolled * dt
+        # Wheels that follow a changing command, or that are in the air, are slow, too.
+        steady = np.abs(self.wanted(asked) - self.speed) < ROUNDING and not self.left and way
+        self.waited = self.waited + dt if steady else F(0)
+        slow = np.sign(self.speed) * rolled < known["stopped_share"] * np.abs(self.speed)
+        self.slow = self.slow + dt if slow and self.waited > known["wait_s"] else F(0)
+        bumped = self.slow >= known["stopped_s"]
+        self.ahead = F(0) if bumped and self.phase != BACK else self.ahead
+        if self.phase == BACK and (bumped or self.ahead >= known["back"]):  # or something is behind the robot
+            self.phase = RUN_UP
+        elif bumped:
+            self.phase = BACK
+        if self.phase == RUN_UP and self.ahead <= known["before_s"] * known["run_up"] and not self.left:
+            self.phase, self.left = OVER, known["window_s"]
+        self.speed = self.speed + np.clip(self.wanted(asked) - self.speed, -most, most)
+        self.command[0] = self.speed
+        self.command[2] *= self.phase == FOLLOW  # straight back, and straight to the step
+
+    def wanted(self, asked: Any) -> Any:
+        """Return the speed of the present phase, m/s."""
+        run_up = np.sign(asked) * self.numbers["run_up"]
+        return {FOLLOW: asked, BACK: -run_up}.get(self.phase, run_up)
+
+
 class Policy:
     """The policy with its memory: histories, last action, filters, moving averages.
 
@@ -248,6 +316,7 @@ class Policy:
         self.free = np.isinf(self.bounds[0]) & np.isinf(self.bounds[1])  # joints without limits, such as wheels
         self.rolling = np.array([name in self.spec["rolling_joints"] for name in self.spec["joint_names"]], bool)
         self.safety = self.spec["safety"]
+        self.bump = None if self.spec["bump"] is None else Bump(self.spec["bump"], self.spec["step_dt"])
         self.begin()
 
     def begin(self, startup: bool = True) -> None:
@@ -272,6 +341,9 @@ class Policy:
         self.zero = np.zeros(len(self.default))  # ``zero`` is each wheel's angle at the reset minus its default angle.
         self.action = np.zeros(self.spec["action_width"], F)
         self.averages: dict[str, Array] = {}
+        self.commands: dict[str, Array] = {}  # of ``bump``, which the policy got instead of the user's
+        if self.bump is not None:
+            self.bump.reset()
         for term in (term for terms in self.groups for term in terms):
             term.reset()
 
@@ -417,7 +489,9 @@ class Policy:
         if self.phase == "run":
             status = HELD if any(r.held for r in self.readings.values()) else LATE if steps > 1 else OK
             self.steps += steps - 1 if self.steps else 0  # Terms such as ``gait_phase`` count the missed steps.
-            found = self.step({name: reading.last for name, reading in self.readings.items()})
+            known = {name: reading.last for name, reading in self.readings.items()}
+            self.commands = {} if self.bump is None else self.bump.commands(known, steps)
+            found = self.step(known | self.commands)
             found |= {"gain": self.ramped("gain", F(1), rules["recover"]["gain_ramp_s"])}
             found["effort"] = np.clip(found["effort"], -self.effort, self.effort) * found["gain"]
             found["position"] = np.where(self.free, found["position"] - self.turned(), found["position"])
@@ -427,7 +501,7 @@ class Policy:
                 self.enter("stop", STOPPED)
                 status = STOPPED
         if self.phase != "run":
-            self.sent = self.at_rest()
+            self.sent, self.commands = self.at_rest(), {}
         return {**self.sent, "status": status}
 
     def at_rest(self) -> dict[str, Any]:
@@ -485,7 +559,8 @@ class Policy:
 class Log:
     """A robot log as CSV: one row per control step with time, readings, targets, status, gain, and reset.
 
-    The readings of the first row define the columns. The fields of a missing reading are empty.
+    The readings of the first row define the columns. The fields of a missing reading are empty. Commands are those
+    that the policy got.
     """
 
     def __init__(self, path: str | Path, policy: Policy) -> None:
@@ -493,7 +568,7 @@ class Log:
 
     def write(self, time: float, readings: Mapping[str, npt.ArrayLike], targets: Mapping[str, Any]) -> None:
         """Append the readings of time ``time`` (s), and what ``Policy.update`` returned for them."""
-        joints, row = self.policy.spec["joint_names"], [f"{time:.6f}"]
+        joints, row, readings = self.policy.spec["joint_names"], [f"{time:.6f}"], {**readings, **self.policy.commands}
         with self.path.open("a" if self.fields else "w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file)
             if "base_quat" in readings and "projected_gravity" not in readings:
