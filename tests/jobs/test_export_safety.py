@@ -339,7 +339,7 @@ def jumping(bundle, tmp_path_factory) -> Path:
         **{"on": True, "jump": "commands.jump", "velocity": "commands.base_velocity", "columns": [4, 5]},
         **{"signs": [1.0, -1.0], "wheel_radius": 0.02, "max_acceleration": [1.5, None, 3.0]},
     }
-    seconds = {"window_s": 0.3, "stopped_s": 0.06, "wait_s": 0.1, "before_s": 0.11}
+    seconds = {"window_s": 0.3, "height": 0.0, "stopped_s": 0.06, "wait_s": 0.1, "before_s": 0.11}
     spec["bump"]["settings"] = seconds | {"stopped_share": 0.35, "back": 0.2, "run_up": 0.3}
     (folder / "policy.json").write_text(json.dumps(spec))
     with np.load(folder / "policy.npz") as arrays:

@@ -438,14 +438,15 @@ def test_a_jump_is_commanded_where_the_ground_ahead_is_higher(start_env):
     assert commanded(-0.04, 0.0) == [1.0, 0.667, 0.333, 0.0, 1.0]
 
 
-def _bump_env(start_env):
+def _bump_env(start_env, max_lin_acceleration=3.0):
     """Two robots that drive at 0.2 m/s; return the environment, the command to drive, and the command to jump."""
-    drive = {"_target_": C + "UniformVelocityTravelCommand", **_travel_node(max_lin_acceleration=3.0)}
+    drive = {"_target_": C + "UniformVelocityTravelCommand", **_travel_node(max_lin_acceleration=max_lin_acceleration)}
     drive |= {"ranges": {"lin_vel_x": [0.2, 0.2]}, "resampling_time_range": [99.0, 99.0]}
     jump = {"_target_": C + "JumpCommand", "velocity_command": "drive", "rel_jumping_envs": 0.0, "trigger": "bump"}
     jump |= {
         "resampling_time_range": [99.0, 99.0],
         "window_s": 0.5,
+        "heights": [0.02, 0.05],
         "bump": {"back": 0.4, "run_up": 0.5, "wait_s": 0.3},
     }
     env = start_env(commands={"drive": drive, "jump": jump}, num_envs=2)
@@ -501,11 +502,12 @@ def test_neither_a_reversal_nor_a_jump_is_a_bump_and_a_reset_forgets_one(start_e
     assert term.bump.phase.tolist() == [1, 0]
 
 
-def test_the_exported_runner_repeats_the_commands_of_the_simulation(start_env, monkeypatch):
+@pytest.mark.parametrize("max_lin_acceleration", [3.0, None])
+def test_the_exported_runner_repeats_the_commands_of_the_simulation(start_env, monkeypatch, max_lin_acceleration):
     """Two robots before a step at 0.5 m; the second user stops during the way back, drives backwards, and returns."""
     radius, place, speeds = np.float32(0.1), torch.tensor([0.0, 0.47]), torch.zeros(2)
     monkeypatch.setattr(UniformVelocityTravelCommand, "rolled", property(lambda _: speeds * float(radius)))
-    env, travel, term = _bump_env(start_env)
+    env, travel, term = _bump_env(start_env, max_lin_acceleration)
     wheels = {"function": "travel_error", "command": "commands.drive", "columns": [0], "signs": [1.0]}
     spec = bump_spec(env, [{"terms": [wheels | {"wheel_radius": float(radius)}]}], ["drive", "jump"])
     found = [runner.Bump(spec, env.step_dt) for _ in range(2)]
@@ -525,7 +527,10 @@ def test_the_exported_runner_repeats_the_commands_of_the_simulation(start_env, m
             term.start(torch.tensor([False, True]))  # The user wants a jump.
             jumped = True
         for i, bump in enumerate(found):
-            readings = {"joint_vel": speeds[i : i + 1].numpy(), "commands.jump": np.array([float(jumped and i)], "f")}
+            readings = {
+                "joint_vel": speeds[i : i + 1].numpy(),
+                "commands.jump": np.array([float(jumped and i), 0.0], "f"),
+            }
             sent = bump.commands(readings | {"commands.drive": np.array(asked[i], "f")}, 1)
             np.testing.assert_allclose(sent["commands.drive"], travel.command[i], atol=1e-6, err_msg=str(step))
             np.testing.assert_allclose(sent["commands.jump"], term.command[i], atol=1e-6, err_msg=str(step))
@@ -540,6 +545,6 @@ def test_the_exported_runner_repeats_the_commands_of_the_simulation(start_env, m
     assert float(place.min()) > 0.8
     found[0].on = False
     assert found[0].commands({"commands.drive": np.array([0.1, 0.0, 0.0], "f")}, 1) == {}
-    found[0].on, still = True, {"joint_vel": np.zeros(1, "f"), "commands.jump": np.zeros(1, "f")}
+    found[0].on, still = True, {"joint_vel": np.zeros(1, "f"), "commands.jump": np.zeros(2, "f")}
     sent = found[0].commands(still | {"commands.drive": np.array([0.1, 0.0, 0.0], "f")}, 1)
     np.testing.assert_allclose(sent["commands.drive"], [0.1, 0.0, 0.0], atol=1e-6)

@@ -411,7 +411,7 @@ def bump_spec(
                 "signs": travel["signs"],
                 "wheel_radius": travel["wheel_radius"],
                 "max_acceleration": _accelerations(env, commands).get(str(term.velocity_command), [None] * 3),
-                "settings": {"window_s": term.window_s, **vars(term.bump_settings)},
+                "settings": {"window_s": term.window_s, "height": term.highest, **vars(term.bump_settings)},
             }
     return None
 

@@ -245,7 +245,9 @@ def _ranges(env: ManagerBasedRLEnv, state: Mapping[str, object]) -> dict[str, di
     found: dict[str, dict[str, list[float]]] = {}
     for name in env.command_manager.active_terms:
         command = env.command_manager.get_term(name)
-        ranges = {"jump": [0.0, 1.0]} if isinstance(command, JumpCommand) else getattr(command, "ranges", None) or {}
+        ranges = getattr(command, "ranges", None) or {}
+        if isinstance(command, JumpCommand):
+            ranges = {"jump": [0.0, 1.0]} | ({"height": [0.0, command.highest]} if command.highest else {})
         term = checkpoints.env_state(state).get("managers", {}).get("commands", {}).get("terms", {}).get(name, {})
         changed = (term.get("object") or {}).get("ranges")
         found[name] = dict(ranges) if changed is None else changed

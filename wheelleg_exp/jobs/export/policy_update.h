@@ -126,6 +126,7 @@ static inline void policy_jump_after_bump(policy_state *s, int on, float *readin
         i = rolled < POLICY_BUMP_STOPPED_SHARE * fabsf(s->bump.speed) && s->bump.waited > POLICY_BUMP_WAIT_S;
         s->bump.slow = i ? s->bump.slow + dt : 0.0f;
         bumped = s->bump.slow >= POLICY_BUMP_STOPPED_S;
+        if (bumped) s->bump.waited = 0.0f;
         if (bumped && s->bump.phase != POLICY_BACK) s->bump.ahead = 0.0f;
         i = bumped || s->bump.ahead >= POLICY_BUMP_BACK; /* or something is behind the robot */
         if (s->bump.phase == POLICY_BACK && i) s->bump.phase = POLICY_RUN_UP;
@@ -142,7 +143,7 @@ static inline void policy_jump_after_bump(policy_state *s, int on, float *readin
     }
     if (jump[0] > 0.0f && s->bump.left <= 0.0f) s->bump.left = POLICY_BUMP_WINDOW_S;
     memcpy(velocity, command, sizeof s->bump.command);
-    for (i = 1; i < POLICY_BUMP_NUMBERS; i++) jump[i] = s->bump.left > 0.0f ? jump[i] : 0.0f; /* the height, if any */
+    for (i = 1; i < POLICY_BUMP_NUMBERS; i++) jump[i] = s->bump.left > 0.0f ? POLICY_BUMP_HEIGHT : 0.0f;
     jump[0] = s->bump.left / POLICY_BUMP_WINDOW_S;
 }
 #endif

@@ -359,6 +359,7 @@ class BumpTrigger(Stateful):
         is_slow = (self._speed.sign() * rolled < bump.stopped_share * self._speed.abs()) & (self._waited > bump.wait_s)
         self._slow.add_(dt).masked_fill_(~is_slow, 0.0)
         bumped = self._slow >= bump.stopped_s
+        self._waited.masked_fill_(bumped, 0.0)
         self._ahead.masked_fill_(bumped & (phase != _BACK), 0.0)
         is_far = (phase == _BACK) & (bumped | (self._ahead >= bump.back))  # or something is behind the robot
         phase.masked_fill_(bumped, _BACK)
@@ -409,6 +410,7 @@ class JumpCommand(CommandTerm):
     Attributes:
         share: present share of draws with a jump; can be changed during a run.
         heights: clearance that the next or present jump must reach, m, (N, 1), or (N, 0) without commanded heights.
+        highest: largest height of ``heights``, m, 0 without heights.
         bump_settings: settings of the trigger ``bump``, also if ``trigger`` is ``step``.
     """
 
@@ -435,7 +437,7 @@ class JumpCommand(CommandTerm):
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
         width = 0 if heights is None else 1
-        self._lowest, self._highest = heights or (0.0, 0.0)
+        self._lowest, self.highest = heights or (0.0, 0.0)
         self.heights = self.buffer("heights", torch.zeros(env.num_envs, width, device=env.device))
         self._command = self.buffer("_command", torch.zeros(env.num_envs, 1 + width, device=env.device))
 
@@ -455,14 +457,14 @@ class JumpCommand(CommandTerm):
         self.is_jumping_env[env_ids] = u < self.share
         size = (len(env_ids), self.heights.shape[1])
         u = torch.rand(size, generator=self._generator, device=self._command.device)
-        self.heights[env_ids] = self._lowest + (self._highest - self._lowest) * u
+        self.heights[env_ids] = self._lowest + (self.highest - self._lowest) * u
         self._command.index_fill_(0, env_ids, 0.0)
 
     def start(self, where: torch.Tensor) -> None:
         """Start a jump in the environments of the mask ``where``, (N,)."""
         self.is_jumping_env.logical_or_(where)
         self.time_left.masked_fill_(where, self.window_s)
-        self.heights.masked_fill_(where.unsqueeze(1), self._highest)
+        self.heights.masked_fill_(where.unsqueeze(1), self.highest)
         self._show()
 
     def finish_episode(self, env_ids: torch.Tensor) -> dict[str, torch.Tensor]:

@@ -257,9 +257,9 @@ class Bump:
         else:
             self.command = np.clip(asked, -most, most)
         self.left = window if readings[spec["jump"]][0] > 0 and not self.left else self.left
-        jump = readings[spec["jump"]] * F(self.left > 0)  # the height, if any
-        jump[0] = self.left / window
-        return {spec["velocity"]: self.command, spec["jump"]: jump}
+        share = self.left / window
+        height = self.numbers["height"] * F(self.left > 0)
+        return {spec["velocity"]: self.command, spec["jump"]: array([share, height])[: len(readings[spec["jump"]])]}
 
     def advance(self, asked: Any, rolled: Any, dt: Any, most: Any) -> None:
         """Advance by ``dt`` s; the user wants the speed ``asked``, m/s, and the wheels roll at ``rolled``, m/s."""
@@ -273,6 +273,7 @@ class Bump:
         slow = np.sign(self.speed) * rolled < known["stopped_share"] * np.abs(self.speed)
         self.slow = self.slow + dt if slow and self.waited > known["wait_s"] else F(0)
         bumped = self.slow >= known["stopped_s"]
+        self.waited = F(0) if bumped else self.waited
         self.ahead = F(0) if bumped and self.phase != BACK else self.ahead
         if self.phase == BACK and (bumped or self.ahead >= known["back"]):  # or something is behind the robot
             self.phase = RUN_UP
