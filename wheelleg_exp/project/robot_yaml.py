@@ -27,7 +27,7 @@ _FULL = 4.0
 _SLIPS = 5.0  # A wheel's effort limit above five times the torque at which the wheel slips is not realistic.
 _FAST = 100.0  # A joint's speed limit above 100 rad/s is not realistic.
 _WEAK = 0.3  # A leg drive's effort limit must be at least 30 % of the torque that carries the robot's weight.
-_STEP = 0.005  # A new project's task has a physics time step of 5 ms.
+_STEP = 0.0025  # s; with 0.005, the wheels of some robots lose contact again and again, so they creep
 _LEG_SPEED = 15.0  # rad/s
 _WHEEL_TIME = 0.1  # A wheel's default damping gives its speed a time constant of 0.1 s.
 _TRACTION = 1.5  # The default effort limit of a wheel is 1.5 times the torque at which the wheel slips.
@@ -35,7 +35,7 @@ _GROUND_SPEED = 2.0  # m/s
 _LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 rad.
 _WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
 _STEPS_PER_FALL = 5.0  # control steps in the time constant with which the robot falls
-_SLOWEST = 4  # physics steps per control step at most: 50 Hz control
+_SLOWEST = 8  # physics steps per control step at most: 50 Hz control
 _TILT = 0.03  # The start states of stock tasks tilt the robot by at most 0.03 rad.
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 
@@ -286,7 +286,7 @@ def _natural_speed(robot: Survey) -> float:
 def _decimation(robot: Survey) -> int:
     balance = robot.facts.balance
     steps = 1.0 / (_STEPS_PER_FALL * balance.pole * _STEP) if balance is not None else _SLOWEST
-    return max(1, min(_SLOWEST, int(steps)))
+    return max(2, min(_SLOWEST, int(steps)))
 
 
 def _action_scales(robot: Survey) -> dict[str, float]:
