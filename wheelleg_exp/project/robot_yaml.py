@@ -241,6 +241,7 @@ def robot_yaml(name: str, asset: str, robot: Survey) -> str:
     if robot.wheels:
         groups += _group("wheels", robot.wheels, wheel_gains(robot))
     scales = ", ".join(f"{role}: {scale}" for role, scale in _action_scales(robot).items())
+    control_dt, physics_steps = _STEP * _decimation(robot), _physics_steps(robot)
     return f"""# @package env.robot
 # {facts.mass:.4g} kg, {_counted(len(robot.legs), "leg joint")} and {_counted(len(robot.wheels), "wheel")}{size}{held}.
 profile: {name}    # name in results
@@ -261,8 +262,8 @@ size: {number(robot.size)}    # m; height of the root link or of the centre of m
 mass: {number(facts.mass)}    # kg
 natural_speed: {number(_natural_speed(robot))}    # m/s; sqrt(gravity · size), at most the wheels' top speed
 leg_reach: {number(_leg_reach(robot), 3) if robot.legs else "null"}    # rad; rotation that drives and limits allow
-physics_dt: {number(_STEP * _decimation(robot) / _physics_steps(robot), 17)}    # s
-decimation: {_physics_steps(robot)}    # physics steps per control step: {1 / (_STEP * _decimation(robot)):.0f} Hz control
+physics_dt: {number(control_dt / physics_steps, 17)}    # s
+decimation: {physics_steps}    # physics steps per control step: {1 / control_dt:.0f} Hz control
 action_scales: {{{scales}}}    # rad and rad/s per unit of action
 {_joint_pairs(robot)}joint_sets:    # joints by role, to which terms refer; left_legs, right_legs: pairs that turn alike
 {_named_lists(joints)}body_sets:     # links by role; legs: the links, except the base, that do not touch the ground
