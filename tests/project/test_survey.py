@@ -309,6 +309,15 @@ def test_limits_are_the_files_and_missing_gains_follow_from_inertias(two):
     assert kd / (2 * math.sqrt(kp * joint.effective)) == pytest.approx(0.7, rel=0.1)
 
 
+@pytest.mark.parametrize(("strength", "steps"), [(2.4, 4), (3.0, 5), (5.5, 9)])
+def test_strong_damping_of_the_legs_shortens_the_physics_steps(strength, steps, two):
+    inertia = two.facts.joints["l_hip"].effective
+    drive = Drive("force", 20.0, strength * inertia / 0.005, None)  # kd·dt/I = strength with steps of 5 ms
+    dofs = {name: replace(dof, drive=drive) if name in two.legs else dof for name, dof in two.dofs.items()}
+    made = yaml.safe_load(robot_yaml("mine", "mine/two.urdf", replace(two, dofs=dofs)))
+    assert (made["decimation"], made["physics_dt"]) == (steps, pytest.approx(0.02 / steps))
+
+
 def test_wheels_follow_speeds_and_are_about_as_strong_as_their_traction(two):
     gains = wheel_gains(two)
     assert set(gains.stiffness.values()) == {0.0}
