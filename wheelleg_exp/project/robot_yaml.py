@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from wheelleg_exp.anatomy.compiled_robot import name_expression
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.lint.rule import at_least, at_most
+from wheelleg_exp.lint.rules_drives import MOST_DAMPING
 from wheelleg_exp.project.survey import Survey, joint_pairs
 
 WIDTH = 110
@@ -36,9 +37,6 @@ _LEG_SCALE = (0.05, 0.25)  # An action of 1 rotates a leg joint by 0.05 to 0.25 
 _WHEEL_EFFORT = 0.25  # At standstill, a wheel action of 1 needs 25 % of the wheel's effort limit.
 _STEPS_PER_FALL = 5.0  # control steps in the time constant with which the robot falls
 _SLOWEST = 4  # physics steps of 5 ms per control step at most: 50 Hz control
-# Contacts with legs whose drives have a larger kd·dt/I come and go, because MuJoCo computes the contact forces without
-# the implicit damping of the drives. Of four robots, those with 3.0 and 5.5 lost contact, and with 2.3 and 2.4 not.
-_DAMPED = 2.5
 _TILT = 0.03  # The start states of stock tasks tilt the robot by at most 0.03 rad.
 _ENDLESS = 1e6  # An effort or speed limit above 1e6 in a robot file means that the joint is unlimited.
 
@@ -298,7 +296,7 @@ def _physics_steps(robot: Survey) -> int:
     """Return the number of physics steps per control step: short ones if drives damp the legs strongly."""
     damping, joints = leg_gains(robot).damping, robot.facts.joints
     worst = max((_STEP * damping[name] / joints[name].effective for name in damping), default=0.0)
-    return math.ceil(_decimation(robot) * max(1.0, worst / _DAMPED))
+    return math.ceil(_decimation(robot) * max(1.0, worst / MOST_DAMPING))
 
 
 def _action_scales(robot: Survey) -> dict[str, float]:
