@@ -53,10 +53,8 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
         for change in changes(old_agent.get(role) or {}, agent.get(role) or {}, same):
-            if change.keys != (
-                "distribution_cfg",
-                "init_std",
-            ):  # The checkpoint's learned action std replaces init_std.
+            # The checkpoint's learned action std replaces init_std.
+            if change.keys != ("distribution_cfg", "init_std"):
                 _refuse(found, f"agent.{role}.{'.'.join(change.keys)}", _both_values(change, of))
         groups = [list((part.get("obs_groups") or {}).get(role) or []) for part in (old_agent, agent)]
         if groups[0] != groups[1]:
