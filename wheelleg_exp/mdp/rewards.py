@@ -374,8 +374,7 @@ class joint_vel_rate_l2(TermBase):
         return change.square().sum(dim=1)
 
     def _velocity(self, env: Env) -> torch.Tensor:
-        velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)
-        return velocity
+        return picked(env.scene.articulations[self._joints.name].data.joint_vel, self._joints.joint_ids)
 
 
 def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:
