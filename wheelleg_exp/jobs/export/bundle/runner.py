@@ -272,11 +272,10 @@ class Bump:
         self.slow = self.slow + dt if slow and self.waited > known["wait_s"] else F(0)
         bumped = self.slow >= known["stopped_s"]
         self.waited = F(0) if bumped else self.waited
-        self.ahead = F(0) if bumped and self.phase != BACK else self.ahead
         if self.phase == BACK and (bumped or self.ahead >= known["back"]):  # or something is behind the robot
             self.phase = RUN_UP
         elif bumped:
-            self.phase = BACK
+            self.phase, self.ahead = BACK, F(0)
         if self.phase == RUN_UP and self.ahead <= known["before_s"] * known["run_up"] and not self.left:
             self.phase, self.left = OVER, known["window_s"]
         self.speed = self.speed + np.clip(self.wanted(asked) - self.speed, -most, most)
