@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Self, cast
 
-import torch
-
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.sim.class_members import alias_of, declare_unsupported
 from wheelleg_exp.state import Stateful
@@ -81,16 +79,8 @@ class Simulation:
     def __init__(self, env: Env) -> None:
         self._env = env
 
-    @property
-    def cfg(self) -> Cfg:
-        """The ``env.sim`` section of the config."""
-        found: Cfg = self._env.cfg.sim
-        return found
-
-    @property
-    def device(self) -> torch.device:
-        """The device of all tensors."""
-        return self._env.device
+    cfg = alias_of("_env.cfg.sim", "The ``env.sim`` section of the config.")
+    device = alias_of("_env.device", "The device of all tensors.")
 
     def get_physics_dt(self) -> float:
         """Return the physics step, s."""

@@ -218,10 +218,15 @@ def _travel_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     }
 
 
+_MOST_LINKS = 16  # joints between a wheel and the base, so that a runner's time is bounded
+
+
 def _height_error(env: ManagerBasedRLEnv, term: Term) -> TermValue:
     name = term.params["command_name"]
     command: Any = env.command_manager.get_term(name)
     legs = command.height_over_wheels
+    if len(legs.links) > _MOST_LINKS:
+        raise ConfigError("a leg has too many joints for a runner", key=term.path, expected=f"at most {_MOST_LINKS}")
     return {
         "function": "height_error",
         "needs": ["joint_pos", "projected_gravity", f"{COMMANDS}{name}"],
