@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Self, cast
 
-import torch
-
 from wheelleg_exp.errors import ConfigError, nearest_name
-from wheelleg_exp.sim.class_members import declare_unsupported
+from wheelleg_exp.sim.class_members import alias_of, declare_unsupported
 from wheelleg_exp.state import Stateful
 from wheelleg_exp.terms.term_binding import FIELD_TYPES, TARGET
 
 if TYPE_CHECKING:
-    from wheelleg_exp.managers import ActionManager, Env, ObservationManager, TerminationManager
-    from wheelleg_exp.managers.observation_term import Group
+    from wheelleg_exp.managers import Env
 
 
 _SPACES = "wheelleg_exp.gym has the Gymnasium faces; widths are in action_manager and observation_manager"
@@ -82,16 +79,8 @@ class Simulation:
     def __init__(self, env: Env) -> None:
         self._env = env
 
-    @property
-    def cfg(self) -> Cfg:
-        """The ``env.sim`` section of the config."""
-        found: Cfg = self._env.cfg.sim
-        return found
-
-    @property
-    def device(self) -> torch.device:
-        """The device of all tensors."""
-        return self._env.device
+    cfg = alias_of("_env.cfg.sim", "The ``env.sim`` section of the config.")
+    device = alias_of("_env.device", "The device of all tensors.")
 
     def get_physics_dt(self) -> float:
         """Return the physics step, s."""
@@ -116,9 +105,6 @@ class IsaacLabAttributes(Stateful):
     if TYPE_CHECKING:
         decimation: int
         common_step_counter: int
-        action_manager: ActionManager
-        observation_manager: ObservationManager
-        termination_manager: TerminationManager
 
     @property
     def unwrapped(self) -> Self:
@@ -130,30 +116,18 @@ class IsaacLabAttributes(Stateful):
         """The simulation object that manager terms written for Isaac Lab use. The engine itself is ``scene.sim``."""
         return Simulation(cast("Env", self))
 
-    @property
-    def num_actions(self) -> int:
-        """Number of the actions of an environment."""
-        return self.action_manager.total_action_dim
-
-    @property
-    def obs_buf(self) -> dict[str, Group]:
-        """The last observations by group."""
-        return self.observation_manager.obs_buf
-
-    @property
-    def reset_buf(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode ended in the last control step."""
-        return self.termination_manager.dones
-
-    @property
-    def reset_terminated(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode failed in the last control step."""
-        return self.termination_manager.terminated
-
-    @property
-    def reset_time_outs(self) -> torch.Tensor:
-        """Mask (N,) of the environments whose episode reached its time limit in the last control step."""
-        return self.termination_manager.time_outs
+    num_actions = alias_of("action_manager.total_action_dim", "Number of the actions of an environment.")
+    obs_buf = alias_of("observation_manager.obs_buf", "The last observations by group.")
+    reset_buf = alias_of(
+        "termination_manager.dones", "Mask (N,) of the environments whose episode ended in the last control step."
+    )
+    reset_terminated = alias_of(
+        "termination_manager.terminated", "Mask (N,) of the environments whose episode failed in the last control step."
+    )
+    reset_time_outs = alias_of(
+        "termination_manager.time_outs",
+        "Mask (N,) of the environments whose episode reached its time limit in the last control step.",
+    )
 
     @property
     def _sim_step_counter(self) -> int:

@@ -142,9 +142,9 @@ def matching(rows: Mapping[str, Array], **values: object) -> Array:
     return np.asarray(np.logical_and.reduce([rows[name] == value for name, value in values.items()]))
 
 
-def in_world(rows: Mapping[str, Array], sweep: str, value: float, of: Rows = everything) -> Array:
-    """Return the mask ``of`` without the episodes of other worlds; older evaluations of jumps have one world."""
-    return of(rows) & (matching(rows, sweep=sweep, value=value) if "sweep" in rows else True)
+def in_all(rows: Mapping[str, Array], masks: Sequence[Rows]) -> Array:
+    """Return the mask of the episodes that all ``masks`` select."""
+    return np.asarray(np.logical_and.reduce([mask(rows) for mask in masks]))
 
 
 def in_cells(rows: Mapping[str, Array], start: str = "", end: str = "") -> Array:
@@ -228,8 +228,7 @@ def metrics_of(test: str, columns: Mapping[str, Array], protocol: Mapping[str, o
     if test == "walk":
         found = _of_walking(columns, float(settings.get("band", 0.1)))
     elif test in ("terrain", "bump"):
-        terrain = _of_terrain(columns, float(settings.get("pass_share", 0.9)))
-        found = (replace(metric, name=metric.name.replace("terrain", test, 1)) for metric in terrain)
+        found = _of_terrain(test, columns, float(settings.get("pass_share", 0.9)))
     else:
         found = _WITHOUT_OPTIONS[test](columns)
     return [metric for metric in found if set(metric.columns) <= set(columns)]
@@ -387,27 +386,21 @@ def _of_heights(columns: Mapping[str, Array]) -> Iterator[Metric]:
         yield Metric(f"height/lean_worst/{height}", column, lambda leans: worst([np.abs(leans[0])]), "rad", rows=rows)
 
 
+_IN_EACH_WORLD = ("jump/success", "jump/survival", "jump/turn_share", "jump/quiet")
+
+
 def _of_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
-    for metric in _of_nominal_jumps(columns):
-        yield replace(metric, rows=partial(in_world, sweep="nominal", value=0.0, of=metric.rows))
-    pairs = zip(columns.get("sweep", np.array([])).tolist(), columns.get("value", np.array([])).tolist(), strict=True)
-    for sweep, value in dict.fromkeys(pair for pair in pairs if pair[0] != "nominal"):
-        name, rows = (
-            f"jump/{sweep}/{value:g}" if value else f"jump/{sweep}",
-            partial(in_world, sweep=sweep, value=value),
-        )
-        yield Metric(f"{name}/success", _JUMP_PARTS, all_of, better="higher", rows=rows)
-        for kind, column in (("survival", "survived"), ("turn_share", "turn_share")):
-            yield Metric(f"{name}/{kind}", (column,), mean, better="higher", rows=rows)
-        yield Metric(f"{name}/quiet", ("quiet",), mean, better="higher", rows=partial(rows, of=still))
-
-
-_JUMP_PARTS = ("drove", "turned", "jumped", "recovered")
+    nominal = {metric.name: metric for metric in _of_nominal_jumps(columns)}
+    # Older evaluations of jumps have one world.
+    for name, rows in _worlds("jump", columns) if "sweep" in columns else [("jump/nominal", everything)]:
+        for metric in nominal.values() if name == "jump/nominal" else map(nominal.__getitem__, _IN_EACH_WORLD):
+            found = metric.name.replace("jump", name.removesuffix("/nominal"), 1)
+            yield replace(metric, name=found, rows=partial(in_all, masks=(metric.rows, rows)))
 
 
 def _of_nominal_jumps(columns: Mapping[str, Array]) -> Iterator[Metric]:
     # Older evaluations command no turns.
-    better, parts = "higher", tuple(name for name in _JUMP_PARTS if name in columns)
+    better, parts = "higher", tuple(name for name in ("drove", "turned", "jumped", "recovered") if name in columns)
     yield from _survival("jump", columns)
     yield Metric("jump/success", parts, all_of, better=better)
     yield Metric("jump/worst_success", ("cell", *parts), worst_mean, better=better)
@@ -452,24 +445,24 @@ def _landing(test: str) -> Iterator[Metric]:
     yield Metric(f"{test}/torque_peak_share", ("torque_peak_share",), worst)
 
 
-def _of_terrain(columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
+def _of_terrain(test: str, columns: Mapping[str, Array], pass_share: float) -> Iterator[Metric]:
     better = "higher"
-    yield from _survival("terrain", columns)
-    yield Metric("terrain/success", ("success",), mean, better=better)
+    yield from _survival(test, columns)
+    yield Metric(f"{test}/success", ("success",), mean, better=better)
     hardest = int(columns["level"].max())
     for name, level in (("middle", hardest // 2), ("hardest", hardest)):
         rows = partial(matching, level=float(level))
-        yield Metric(f"terrain/worst_success_{name}", ("cell", "success"), worst_mean, better=better, rows=rows)
+        yield Metric(f"{test}/worst_success_{name}", ("cell", "success"), worst_mean, better=better, rows=rows)
     cells = dict.fromkeys(columns["cell_name"].tolist())
     for kind in dict.fromkeys(cell.rpartition("/")[0] for cell in cells):
         rows, passed = partial(in_cells, start=f"{kind}/"), partial(highest, share=pass_share)
-        yield Metric(f"terrain/levels_passed/{kind}", ("level", "success"), passed, "", better, rows)
+        yield Metric(f"{test}/levels_passed/{kind}", ("level", "success"), passed, "", better, rows)
     for cell in cells:
         rows = partial(matching, cell_name=cell)
-        yield Metric(f"terrain/success/{cell}", ("success",), mean, better=better, rows=rows)
-        yield Metric(f"terrain/distance_ratio/{cell}", ("distance_ratio",), mean, better=better, rows=rows)
-    yield Metric("terrain/error_vx", ("error_vx",), quadratic, "m/s", rows=surviving)
-    yield from _shared_metrics("terrain", columns, everything)
+        yield Metric(f"{test}/success/{cell}", ("success",), mean, better=better, rows=rows)
+        yield Metric(f"{test}/distance_ratio/{cell}", ("distance_ratio",), mean, better=better, rows=rows)
+    yield Metric(f"{test}/error_vx", ("error_vx",), quadratic, "m/s", rows=surviving)
+    yield from _shared_metrics(test, columns, everything)
 
 
 def _of_strips(columns: Mapping[str, Array]) -> Iterator[Metric]:
@@ -492,9 +485,15 @@ _MARGIN_UNITS |= {"encoder_offset": "rad", "slope": "rad", "kick": "m/s", "com":
 _MARGIN_UNITS |= {"payload": "kg", "platform": "m/s²"}
 
 
+def _worlds(test: str, columns: Mapping[str, Array]) -> Iterator[tuple[str, Rows]]:
+    """Yield the prefix of the metrics of each world, such as ``robust/mass/1.2``, and the mask of its episodes."""
+    for sweep, value in dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True)):
+        name = f"{test}/{sweep}" if sweep in ("nominal", "errors") else f"{test}/{sweep}/{value:g}"
+        yield name, partial(matching, sweep=sweep, value=value)
+
+
 def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
     changed = partial(differing, column="sweep", value="nominal")
-    sweeps = dict.fromkeys(zip(columns["sweep"].tolist(), columns["value"].tolist(), strict=True))
     yield Metric("robust/survival", ("survived",), mean, "", "higher", changed)
     yield Metric("robust/worst_survival", ("world", "survived"), worst_mean, "", "higher", changed)
     nominal = partial(matching, sweep="nominal")
@@ -502,9 +501,7 @@ def _of_worlds(columns: Mapping[str, Array]) -> Iterator[Metric]:
         name = column.removeprefix("margin_")
         unit = _MARGIN_UNITS.get(name, "")
         yield Metric(f"robust/margin/{name.removesuffix('_s')}", (column,), mean, unit, "higher", nominal)
-    for sweep, value in sweeps:
-        name = f"robust/{sweep}/{value:g}" if sweep != "nominal" else "robust/nominal"
-        rows = partial(matching, sweep=sweep, value=value)
+    for name, rows in _worlds("robust", columns):
         yield Metric(f"{name}/survival", ("survived",), mean, "", "higher", rows)
         yield Metric(f"{name}/error_vx", ("error_vx",), quadratic, "m/s", rows=rows)
         yield Metric(f"{name}/height_rmse", ("height_rmse_m",), quadratic, "m", rows=rows)

@@ -11,7 +11,7 @@ import torch
 from wheelleg_exp.env import ManagerBasedRLEnv, Observations
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.evaluation_env import parts_of
-from wheelleg_exp.evaluation.protocol_options import Protocol
+from wheelleg_exp.evaluation.protocol_options import Jump, Protocol
 from wheelleg_exp.evaluation.scenarios import Scenarios
 from wheelleg_exp.evaluation.trajectories import EffortMeter, Trajectories
 from wheelleg_exp.managers import Env
@@ -45,11 +45,11 @@ class HeldCommand:
         self._term.is_standing_env[env_ids] = (self._held[env_ids] == 0.0).all(dim=1)
 
 
-def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float, jump_height: float) -> None:
+def hold_heights_and_jumps(env: Env, scenarios: Scenarios, options: Jump | None) -> None:
     """Replace the random draws of commanded base poses and jumps by the values of a test.
 
-    The default pose is the middle of the task's range; ``jump_at_s``, s, is inf without a jump, whose height is in m. A
-    missing command raises ConfigError.
+    The default pose is the middle of the task's range. Without ``options``, the robot does not jump. A missing command
+    raises ConfigError.
     """
     terms = [env.command_manager.get_term(name) for name in env.command_manager.active_terms]
     poses = [term for term in terms if isinstance(term, UniformBasePoseCommand)]
@@ -70,8 +70,8 @@ def hold_heights_and_jumps(env: Env, scenarios: Scenarios, jump_at_s: float, jum
     for jump in jumps:
 
         def draw_jump(env_ids: torch.Tensor, jump: JumpCommand = jump) -> None:
-            jump.time_left.index_fill_(0, env_ids, jump_at_s + jump.window_s)
-            jump.heights[env_ids] = jump_height
+            jump.time_left.index_fill_(0, env_ids, options.at_s + jump.window_s if options else math.inf)
+            jump.heights[env_ids] = options.height if options else 0.0
             jump.is_jumping_env[env_ids] = jump.command_counter[env_ids] == 0
             jump.command.index_fill_(0, env_ids, 0.0)
 
@@ -96,8 +96,7 @@ class Rollout:
     def __init__(self, env: ManagerBasedRLEnv, scenarios: Scenarios, protocol: Protocol) -> None:
         self.env, self.scenarios, self.parts, self.starts = env, scenarios, parts_of(env), ""
         self._held = HeldCommand(env, protocol.command)
-        jump = protocol.jump if scenarios.test == "jump" else None
-        hold_heights_and_jumps(env, scenarios, *((jump.at_s, jump.height) if jump else (math.inf, 0.0)))
+        hold_heights_and_jumps(env, scenarios, protocol.jump if scenarios.test == "jump" else None)
         # A robot that gets up starts with any tilt, and may fall back.
         self._fall_tilt = math.inf if scenarios.test == "get_up" else protocol.fall_tilt
         self._force = protocol.contact_force

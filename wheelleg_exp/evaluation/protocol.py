@@ -114,19 +114,13 @@ def metric_names(env: Mapping[str, object], mjcf: Path, protocol: Mapping[str, o
         width = rollout.env.action_manager.total_action_dim
         made = Trajectories.empty(rollout.steps, rollout.env.num_envs, rollout.parts, width, rollout.env)
         columns = identity(rollout, made)
-        if table.test == "robust" and options.robust is not None:
-            changed = list(disturbance_tests.worlds(subject.options(rollout.scenarios), options.robust))
-            columns |= _numbers(_world_columns(subject, rollout, made))
-            columns |= dict.fromkeys(
-                ["world", *(f"margin_{name}" for name in options.robust.margins or {})], np.zeros(1)
-            )
-            columns |= {"sweep": np.array([w.sweep for w in changed]), "value": np.array([w.value for w in changed])}
-        elif table.test == "push":
+        if table.test == "push":
             columns |= dict.fromkeys(disturbance_tests.PUSH_COLUMNS, np.zeros(1))
         else:
             columns |= _numbers(_columns(subject, rollout, made))
-        if table.test == "jump":
-            changed = _jump_worlds(subject, table)
+        if table.test in _IN_CHANGED_WORLDS:
+            changed, margins = _worlds(subject, table)
+            columns |= dict.fromkeys(["world", *(f"margin_{name}" for name in margins)], np.zeros(1))
             columns |= {"sweep": np.array([w.sweep for w in changed]), "value": np.array([w.value for w in changed])}
         found += [metric.name for metric in metrics_of(table.test, columns, protocol)]
     return found
@@ -158,13 +152,16 @@ _SCENARIOS: dict[str, Callable[[Any], Scenarios]] = {
 }
 
 
+_IN_CHANGED_WORLDS = ("jump", "robust")
+
+
 def _tables(options: protocol_options.Protocol) -> list[Scenarios]:
     chosen = {test: getattr(options, test) for test in _SCENARIOS}
     return [_SCENARIOS[test](test_options) for test, test_options in chosen.items() if test_options is not None]
 
 
 def _run(subject: Subject, table: Scenarios) -> Part:
-    if table.test in ("robust", "jump"):
+    if table.test in _IN_CHANGED_WORLDS:
         return _in_changed_worlds(subject, table)
     rollout = _placed(subject, table)
     policy, progress = subject.make_policy(rollout.env), subject.progress_of(table.test)
@@ -198,26 +195,25 @@ def _placed(subject: Subject, table: Scenarios) -> Rollout:
     return subject.rollout(table, env)
 
 
-def _jump_worlds(subject: Subject, table: Scenarios) -> list[disturbance_tests.World]:
-    assert subject.protocol.jump is not None
+def _worlds(subject: Subject, table: Scenarios) -> tuple[Sequence[disturbance_tests.World], Mapping[str, float]]:
+    """Return the worlds of a test, and the largest changes between which ``margin`` searches."""
+    env, options = subject.options(table), getattr(subject.protocol, table.test)
+    if isinstance(options, protocol_options.Robust):
+        return list(disturbance_tests.worlds(env, options)), options.margins or {}
     own = replace(subject, protocol=replace(subject.protocol, realism="own"))
-    return disturbance_tests.jump_worlds(subject.options(table), own.options(table), subject.protocol.jump)
+    return disturbance_tests.jump_worlds(env, own.options(table), options), {}
 
 
 def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     options = getattr(subject.protocol, table.test)
     env, found, starts = subject.options(table), list[dict[str, Array]](), list[str]()
-    if table.test == "robust":
-        each, margins = list(disturbance_tests.worlds(env, options)), options.margins or {}
-    else:
-        each, margins = _jump_worlds(subject, table), {}
+    each, margins = _worlds(subject, table)
     progress = subject.progress_of(table.test)
     for number, changed in enumerate(each):
         rollout, made = _rolled(subject, table, changed)
-        columns = (_world_columns if table.test == "robust" else _columns)(subject, rollout, made)
         names = {"sweep": np.full(table.size, changed.sweep), "value": np.full(table.size, changed.value)}
         names["world"] = np.full(table.size, float(number))
-        found.append(identity(rollout, made) | names | _numbers(columns))
+        found.append(identity(rollout, made) | names | _numbers(_columns(subject, rollout, made)))
         starts.append(rollout.starts)
         if progress is not None:
             progress(number + 1, len(each) + len(margins))
@@ -236,12 +232,6 @@ def _in_changed_worlds(subject: Subject, table: Scenarios) -> Part:
     return Part(table.test, digest, joined(found), about(rollout), rollout.env.scene.sim.robot_differences())
 
 
-def _world_columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
-    settle = subject.protocol.settle_s
-    motion = Motion(made, rollout.parts, settle, subject.target)
-    return motion_columns.survival(made, []) | measured(motion, POSTURE) | motion_columns.errors(made, settle)
-
-
 def _rolled(subject: Subject, table: Scenarios, changed: disturbance_tests.World) -> tuple[Rollout, Trajectories]:
     rollout = subject.rollout(table, changed.env)
     disturb = disturbance_tests.disturbances(rollout, changed)
@@ -253,6 +243,8 @@ def _columns(subject: Subject, rollout: Rollout, made: Trajectories) -> Columns:
     options = getattr(subject.protocol, table.test)
     target = table.height_of().to(made.height.device) if table.heights else subject.target
     motion = Motion(made, parts, settle, target)
+    if isinstance(options, protocol_options.Robust):
+        return motion_columns.survival(made, []) | measured(motion, POSTURE) | motion_columns.errors(made, settle)
     moments = options.survival_s if isinstance(options, protocol_options.Stand) else []
     columns = motion_columns.survival(made, moments) | motion_columns.drift(made, settle)
     columns |= motion_columns.group_effort(motion) | measured(motion) | {"distance_m": motion.distance}

@@ -244,11 +244,10 @@ class jump_apex(jump_clearance):
 
     def height(self, env: Env) -> torch.Tensor:
         """Return the apex of the base above the ground, m, (N,)."""
-        data = env.scene[self._entity.name].data
+        data = env.scene.articulations[self._entity.name].data
         gravity = math.hypot(*env.scene.model.opt.gravity)
         rise = data.root_lin_vel_w[:, 2].clamp(min=0.0).square() / (2.0 * gravity)
-        found: torch.Tensor = height_over_ground(env, data.root_pos_w) + rise
-        return found
+        return height_over_ground(env, data.root_pos_w) + rise
 
 
 class jump_landing(TermBase):
@@ -375,8 +374,7 @@ class joint_vel_rate_l2(TermBase):
         return change.square().sum(dim=1)
 
     def _velocity(self, env: Env) -> torch.Tensor:
-        velocity: torch.Tensor = picked(env.scene[self._joints.name].data.joint_vel, self._joints.joint_ids)
-        return velocity
+        return picked(env.scene.articulations[self._joints.name].data.joint_vel, self._joints.joint_ids)
 
 
 def joint_deviation_l1(env: Env, asset_cfg: SceneEntityCfg = _ROBOT) -> torch.Tensor:

@@ -104,8 +104,7 @@ class HeightOverWheels:
 
 def _joints_between(model: mujoco.MjModel, wheel: int, root: int) -> list[int]:
     """Return the ids of the joints that move a wheel's joint relative to the root link, from the wheel to the root."""
-    body = int(model.jnt_bodyid[wheel])
-    found = list(range(model.body_jntadr[body], wheel))[::-1]
-    while (body := int(model.body_parentid[body])) != root:
-        found += [model.body_jntadr[body] + number for number in reversed(range(model.body_jntnum[body]))]
+    found, dof = list[int](), int(model.jnt_dofadr[wheel])
+    while (dof := model.dof_parentid[dof]) >= 0 and model.dof_bodyid[dof] != root:
+        found.append(int(model.dof_jntid[dof]))
     return found

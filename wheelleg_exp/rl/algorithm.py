@@ -23,12 +23,8 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.terms.config_sections import plain_section
 from wheelleg_exp.user_exceptions import ending_as, in_words
 
-# `OWN_KEYS` are the keys of the config section `agent` that rsl_rl does not know.
-OWN_KEYS = (
-    *("device", "torch_threads", "matmul", "graph_update", "max_iterations", "average_iterations", "warm_start"),
-    *("save_interval", "clip_actions", "logger", "max_non_finite", "symmetry", "teacher_checkpoint", "warm_critic"),
-    "initial_kl",
-)
+# The keys of the config section `agent` that rsl_rl reads, in addition to those of the networks.
+_KEYS = ("algorithm", "num_steps_per_env", "obs_groups", "torch_compile_mode")
 
 
 def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> PPO | Distillation:
@@ -56,7 +52,7 @@ def build_algorithm(env: RslRlVecEnv, agent: Learning, ranks: Ranks = ALONE) -> 
     groups = [] if options is None else _seen(agent, observations, options)
     env.mirror = None if options is None else Mirror(env.env, options, groups, agent.device)
     # Copy the options, because rsl_rl changes them. Redirect stdout, because rsl_rl prints the networks.
-    config = copy.deepcopy({key: value for key, value in plain_section(agent).items() if key not in OWN_KEYS})
+    config = copy.deepcopy({key: value for key, value in plain_section(agent).items() if key in (*_KEYS, *agent.roles)})
     if isinstance(agent, Agent) and agent.symmetry is not None and options is None:
         config["algorithm"].pop("symmetry_cfg", None)
     of_rank = {"global_rank": ranks.rank, "local_rank": ranks.local, "world_size": ranks.size}

@@ -110,8 +110,7 @@ class InitialPolicy:
 
     def __init__(self, algorithm: PPO, options: InitialKl, env: RslRlVecEnv) -> None:
         self._actor = copy.deepcopy(algorithm.actor).requires_grad_(False).eval()
-        self.weight = options.weight
-        self._group = ""
+        self.weight, self._excepted = options.weight, list[tuple[str, slice]]()
         if options.except_while is not None:
             manager = env.env.observation_manager
             # If both networks see the observation, use that of the actor, which is the last one.
@@ -120,9 +119,8 @@ class InitialPolicy:
             if options.except_while not in parts:
                 key, message = "agent.initial_kl.except_while", "no network sees such an observation"
                 raise not_one_of(message, options.except_while, parts, key=key)
-            self._group, slices = parts[options.except_while]
-            columns = [column for part in slices for column in range(part.start, part.stop)]
-            self._columns = torch.tensor(columns, device=algorithm.device)
+            group, slices = parts[options.except_while]
+            self._excepted = [(group, part) for part in slices]
 
     def loss(self, actor: MLPModel, observations: TensorDict) -> torch.Tensor:
         """Return the mean KL(policy || initial policy) of samples (B, ...) after a forward pass of the policy."""
@@ -130,8 +128,8 @@ class InitialPolicy:
             self._actor.distribution.update(self._actor.mlp(self._actor.get_latent(observations)))
         now, first = actor.output_distribution_params, self._actor.output_distribution_params
         divergence: torch.Tensor = actor.get_kl_divergence(now, first)
-        if self._group:
-            divergence = divergence * (observations[self._group][:, self._columns] == 0.0).all(dim=1)
+        for group, part in self._excepted:
+            divergence = divergence * (observations[group][:, part] == 0.0).all(dim=1)
         return divergence.mean()
 
 

@@ -23,7 +23,6 @@ from wheelleg_exp.rl.symmetry import is_mirror_loss_only, mirror_loss
 
 _LOSSES = ("value", "surrogate", "entropy")
 _MIRROR_LOSS = "symmetry"  # rsl_rl's name
-_INITIAL_LOSS = "initial_kl"
 # rsl_rl's adaptive learning rate has a lower and an upper bound, and changes by a constant factor.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
@@ -79,7 +78,7 @@ class CapturedUpdate:
         symmetry = algorithm.symmetry
         # If ``use_mirror_loss`` is False, the mirror loss is only logged, and its weight is 0.
         self._mirror_weight = symmetry.mirror_loss_coeff if symmetry and symmetry.use_mirror_loss else 0.0
-        self._losses = (*_LOSSES, *([_MIRROR_LOSS] if symmetry else []), *([_INITIAL_LOSS] if initial else []))
+        self._losses = (*_LOSSES, *([_MIRROR_LOSS] if symmetry else []), *(["initial_kl"] if initial else []))
         self._sums = torch.zeros(len(self._losses), device=algorithm.device)
 
     def __call__(self) -> dict[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 
 from wheelleg_exp.sim import rotation
-from wheelleg_exp.sim.class_members import alias_of, cached_until_change, declare_unsupported, joined
+from wheelleg_exp.sim.class_members import TensorProperty, alias_of, cached_until_change, declare_unsupported, joined
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.ids import fill_rows, narrowed, picked
 from wheelleg_exp.sim.robot_model import JointTargets, RobotLayout
@@ -27,6 +27,11 @@ _UNSUPPORTED = {
 }
 _UNSUPPORTED |= {f"{start}fixed_tendon_{name}": _TENDONS for start in ("", "default_") for name in _FIXED}
 _UNSUPPORTED |= {f"{start}spatial_tendon_{name}": _TENDONS for start in ("", "default_") for name in _SPATIAL}
+
+
+def _of_joints(field: str, doc: str) -> TensorProperty:
+    """Make a property of a field of MuJoCo's model that has one value for each degree of freedom."""
+    return TensorProperty(lambda data: data._model(field)[:, data._dof_ids].float(), doc=doc)
 
 
 @declare_unsupported(_UNSUPPORTED)
@@ -393,24 +398,9 @@ class ArticulationData(Stateful):
         """Damping of implicit actuators, which MuJoCo's solver computes, N·m·s/rad, (N, J); 0 for other actuators."""
         return self._gains("damping", True)
 
-    @property
-    def joint_armature(self) -> torch.Tensor:
-        """Reflected rotor inertia of each joint's drive, kg·m^2, (N, J)."""
-        return self._of_joints("dof_armature")
-
-    @property
-    def joint_friction_coeff(self) -> torch.Tensor:
-        """Friction loss, N·m, (N, J)."""
-        return self._of_joints("dof_frictionloss")
-
-    @property
-    def joint_viscous_friction_coeff(self) -> torch.Tensor:
-        """Passive damping, N·m·s/rad, (N, J)."""
-        return self._of_joints("dof_damping")
-
-    def _of_joints(self, field: str) -> torch.Tensor:
-        return self._model(field)[:, self._dof_ids].float()
-
+    joint_armature = _of_joints("dof_armature", "Reflected rotor inertia of each joint's drive, kg·m^2, (N, J).")
+    joint_friction_coeff = _of_joints("dof_frictionloss", "Friction loss, N·m, (N, J).")
+    joint_viscous_friction_coeff = _of_joints("dof_damping", "Passive damping, N·m·s/rad, (N, J).")
     joint_limits = alias_of("joint_pos_limits")
     joint_velocity_limits = alias_of("joint_vel_limits")
     joint_friction = alias_of("joint_friction_coeff")

@@ -210,7 +210,8 @@ def c_header(spec: PolicyJson, arrays: Mapping[str, np.ndarray]) -> str:
     update = Path(__file__).with_name("policy_update.h").read_text(encoding="utf-8").rstrip()
     memory = [line for name, term in terms for line in term_memory(name, term)]
     memory += [f"float processed_{name}[{len(term['joint_ids'])}];" for name, term in actions]
-    memory += [] if spec["bump"] is None else [_BUMP_STATE]
+    if spec["bump"] is not None:
+        memory += ["struct { int phase; float command[3], way, waited, slow, ahead, speed, left; } bump;"]
     observe = [line for name, term in terms for line in term_lines(name, term, spec)]
     processed = [line for name, term in actions for line in action_lines(name, term)]
     return _HEADER.format(
@@ -288,9 +289,6 @@ def update_constants(spec: PolicyJson) -> Iterator[str]:
         ends = [(pair[side], (2 * side - 1) * _NO_BOUND) for pair in spec["joint_pos_limits"]]
         yield _float_array(f"policy_position_{name}", [missing if end is None else end for end, missing in ends])
     yield _float_array("policy_effort_limit", [_NO_BOUND if limit is None else limit for limit in spec["effort_limit"]])
-
-
-_BUMP_STATE = "struct { int phase; float command[3], way, waited, slow, ahead, speed, left; } bump;"
 
 
 def _bump_constants(spec: PolicyJson, starts: Mapping[str, int]) -> Iterator[str]:

@@ -52,14 +52,14 @@ OWN_TERMS = frozenset(
     action_acceleration_l2 action_delay_levels air_time_variance ang_vel_cmd_levels apply_body_impulse base_height
     base_height_exp base_height_over_ground_l2 base_roll_pitch body_air_time body_contact_forces body_contacts
     command_levels_by_skill command_range_levels feet_clearance_l2 feet_stumble flat_orientation_exp gait_phase
-    joint_acc joint_effort_commanded joint_pos_sin_cos joint_power joint_symmetry_l1 joint_vel_rate_l2 jump_apex
-    jump_clearance jump_landing JumpCommand lin_vel_cmd_levels no_contact_count non_finite_state pitch_orientation_l2
-    randomize_effort_limits randomize_encoder_bias randomize_floor_slope randomize_imu_errors
+    height_error joint_acc joint_effort_commanded joint_pos_sin_cos joint_power joint_symmetry_l1 joint_vel_rate_l2
+    jump_apex jump_clearance jump_landing JumpCommand lin_vel_cmd_levels no_contact_count non_finite_state
+    pitch_orientation_l2 randomize_effort_limits randomize_encoder_bias randomize_floor_slope randomize_imu_errors
     randomize_rigid_body_com_cumulative randomize_rigid_body_inertia reset_to_resting_pose
     root_height_over_ground_below_minimum root_link_lin_vel set_root_velocity standing_exp stuck
     terrain_levels_by_distance terrain_tile_left track_base_height_exp track_base_tilt_exp travel_error travel_error_l2
-    UniformBasePoseCommand UniformVelocityTravelCommand upward wheel_slip wheel_spin_in_air_l1
-    height_error WheeledBasePoseCommand while_commanded
+    UniformBasePoseCommand UniformVelocityTravelCommand upward wheel_slip wheel_spin_in_air_l1 WheeledBasePoseCommand
+    while_commanded
     """.split()  # noqa: SIM905
 )
 # Terms that have another name in Isaac Lab.

@@ -127,10 +127,9 @@ static inline void policy_jump_after_bump(policy_state *s, int on, float *readin
         s->bump.slow = i ? s->bump.slow + dt : 0.0f;
         bumped = s->bump.slow >= POLICY_BUMP_STOPPED_S;
         if (bumped) s->bump.waited = 0.0f;
-        if (bumped && s->bump.phase != POLICY_BACK) s->bump.ahead = 0.0f;
         i = bumped || s->bump.ahead >= POLICY_BUMP_BACK; /* or something is behind the robot */
         if (s->bump.phase == POLICY_BACK && i) s->bump.phase = POLICY_RUN_UP;
-        else if (bumped) s->bump.phase = POLICY_BACK;
+        else if (bumped) s->bump.phase = POLICY_BACK, s->bump.ahead = 0.0f;
         i = s->bump.phase == POLICY_RUN_UP && s->bump.left <= 0.0f;
         if (i && s->bump.ahead <= POLICY_BUMP_BEFORE_S * POLICY_BUMP_RUN_UP) {
             s->bump.phase = POLICY_OVER;

@@ -53,10 +53,8 @@ def fit(was: tuple[Tree, Tree], now: tuple[Tree, Tree], roles: Sequence[str], of
     (old_env, old_agent), (env, agent) = was, now
     for role in roles:
         for change in changes(old_agent.get(role) or {}, agent.get(role) or {}, same):
-            if change.keys != (
-                "distribution_cfg",
-                "init_std",
-            ):  # The checkpoint's learned action std replaces init_std.
+            # The checkpoint's learned action std replaces init_std.
+            if change.keys != ("distribution_cfg", "init_std"):
                 _refuse(found, f"agent.{role}.{'.'.join(change.keys)}", _both_values(change, of))
         groups = [list((part.get("obs_groups") or {}).get(role) or []) for part in (old_agent, agent)]
         if groups[0] != groups[1]:
@@ -177,13 +175,10 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         # Every checkpoint has a critic entry, so write an empty dictionary if the critic is not copied.
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
-        further, scales = _require_fit(source, config, parts[:2], note)
-        facts |= {"scales": scales} if scales else {}
-        if further:
-            if "optimizer" in parts:
-                message = f"the optimiser of '{source.label}' does not know the new observations"
-                raise ConfigError(message, key=WHAT, expected="networks or policy")
-            facts["further"] = further
+        facts |= _require_fit(source, config, parts[:2], note)
+        if "further" in facts and "optimizer" in parts:
+            message = f"the optimiser of '{source.label}' does not know the new observations"
+            raise ConfigError(message, key=WHAT, expected="networks or policy")
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:
         path = Path(folder) / Path(INITIAL).name
@@ -229,15 +224,13 @@ def _find(named: str, root: str) -> _Source:
     return _Source(path, run)
 
 
-def _require_fit(
-    source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]
-) -> tuple[dict[str, list[str]], dict[str, float]]:
-    """Raise ConfigError if the networks do not fit; return ``Fit.further`` without empty lists, and ``Fit.scales``."""
+def _require_fit(source: _Source, config: Tree, roles: Sequence[str], note: Callable[[str], None]) -> dict[str, Tree]:
+    """Raise ConfigError if the networks do not fit; return ``Fit.scales`` and ``Fit.further`` without empty values."""
     if source.run is None:
-        return {}, {}
+        return {}
     env, agent = load_params(source.run)
     if "actor" not in agent:  # A distillation run has no config section ``actor``, so nothing is compared.
-        return {}, {}
+        return {}
     found = fit((upgrade_env_params(env), agent), (config["env"], config["agent"]), roles, f"'{source.label}'")
     if found.mistakes:
         raise_all(found.mistakes)
@@ -245,7 +238,8 @@ def _require_fit(
         note(f"note: {line}; the policy of '{source.label}' was trained with the former")
     for name in found.scales:
         note(f"note: the initial networks are converted to the new scale of env.actions.{name}")
-    return {role: names for role, names in found.further.items() if names}, found.scales
+    further = {role: names for role, names in found.further.items() if names}
+    return {name: value for name, value in (("scales", found.scales), ("further", further)) if value}
 
 
 @contextmanager

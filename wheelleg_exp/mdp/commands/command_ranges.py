@@ -9,6 +9,7 @@ from typing import TypeVar
 import torch
 
 from wheelleg_exp.managers import CommandTerm, Env, bounds
+from wheelleg_exp.sim.class_members import alias_of
 
 AxisT = TypeVar("AxisT", bound=str)
 
@@ -88,10 +89,7 @@ class NullCommand(CommandTerm):
         super().__init__(env, (1.0, 1.0), (), generator)
         self._nothing = torch.zeros(env.num_envs, 0, device=env.device)
 
-    @property
-    def command(self) -> torch.Tensor:
-        """The empty command, (N, 0)."""
-        return self._nothing
+    command = alias_of("_nothing", "The empty command, (N, 0).")
 
     def errors(self) -> torch.Tensor:
         return self.error_sums

@@ -15,6 +15,7 @@ from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.commands.velocity_commands import UniformVelocityTravelCommand
 from wheelleg_exp.mdp.root_motion import HeightOverWheels, height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
+from wheelleg_exp.sim.class_members import alias_of
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.timers import may_be_due
 from wheelleg_exp.state.stateful import Stateful
@@ -232,10 +233,7 @@ class UniformBasePoseCommand(RangedCommand):
         self.take_ranges(ranges, get_args(_Axis))
         self._command = self.buffer("_command", torch.zeros(env.num_envs, 3, device=env.device))
 
-    @property
-    def command(self) -> torch.Tensor:
-        """The present command (N, 3): height, m, roll and pitch, rad."""
-        return self._command
+    command = alias_of("_command", "The present command (N, 3): height, m, roll and pitch, rad.")
 
     def measured(self) -> torch.Tensor:
         """Return the base's current height above the ground (m), roll (rad), and pitch (rad), shape (N, 3)."""
@@ -248,9 +246,7 @@ class UniformBasePoseCommand(RangedCommand):
         return (self._command - self.measured()).abs().T
 
     def draw(self, env_ids: torch.Tensor) -> None:
-        low, high = self.bounds()
-        u = torch.rand(len(env_ids), 3, generator=self._generator, device=self._command.device)
-        self._command[env_ids] = low + (high - low) * u
+        self._command[env_ids] = rotation.uniform(*self.bounds(), len(env_ids), self._generator)
 
 
 class WheeledBasePoseCommand(UniformBasePoseCommand):

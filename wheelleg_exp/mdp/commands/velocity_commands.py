@@ -15,6 +15,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, member
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.mdp.root_motion import default_pose
+from wheelleg_exp.sim.class_members import alias_of
 from wheelleg_exp.sim.ids import fill_rows
 from wheelleg_exp.sim.rotation import wrap_to_pi
 
@@ -72,15 +73,8 @@ class UniformVelocityCommand(RangedCommand):
         self.is_heading_env = self.buffer("is_heading_env", torch.zeros(n, dtype=torch.bool, device=device))
         self.is_standing_env = self.buffer("is_standing_env", torch.zeros(n, dtype=torch.bool, device=device))
 
-    @property
-    def command(self) -> torch.Tensor:
-        """The present command (N, 3): v_x, v_y in m/s, w_z in rad/s, base axes."""
-        return self._command
-
-    @property
-    def vel_command_b(self) -> torch.Tensor:
-        """The present velocity command (N, 3); the attribute name is that of Isaac Lab."""
-        return self._command
+    command = alias_of("_command", "The present command (N, 3): v_x, v_y in m/s, w_z in rad/s, base axes.")
+    vel_command_b = alias_of("_command", "The present velocity command (N, 3), under its name in Isaac Lab.")
 
     @property
     def asked(self) -> torch.Tensor:
@@ -237,9 +231,7 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self.travel_error.add_(missed * dt).clamp_(-self._most, self._most)
         return super().compute(dt)
 
-    @property
-    def asked(self) -> torch.Tensor:
-        return self._asked
+    asked = alias_of("_asked")
 
     def post_process(self) -> None:
         super().post_process()

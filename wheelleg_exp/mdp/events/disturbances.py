@@ -127,8 +127,8 @@ class apply_body_impulse(TermBase):
         self._robot = env.scene.articulations[asset_cfg.name]
         bodies = self._bodies = asset_cfg.body_list(len(self._robot.body_names))
         axes = [force_range] * 3 * len(bodies) + [torque_range] * 3 * len(bodies)
-        low, high = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device).T
-        self._lows, self._spans = low, high - low
+        ranges = torch.tensor([*map(list, axes), list(duration_s), list(pause_s)], device=env.device)
+        self._low, self._high = ranges.T
         self._generator = generator
         self._time_left = self.buffer("_time_left", torch.zeros(env.num_envs, device=env.device))
         is_pushed = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
@@ -137,22 +137,17 @@ class apply_body_impulse(TermBase):
         self._robot.add_wrench(self._bodies, self._push)  # CUDA graphs only push bodies that are already registered.
         self.reset(torch.arange(env.num_envs, device=env.device))
 
-    def _draw(self, count: int) -> torch.Tensor:
-        u = torch.rand(count, len(self._lows), generator=self._generator, device=self._lows.device)
-        found: torch.Tensor = self._lows + self._spans * u
-        return found
-
     def reset(self, env_ids: torch.Tensor) -> None:
         """Start a pause before the next push in ``env_ids``; the robot's reset has already removed the old push."""
         self.reset_rows(env_ids)
-        self._time_left[env_ids] = self._draw(len(env_ids))[:, -1]
+        self._time_left[env_ids] = rotation.uniform(self._low, self._high, len(env_ids), self._generator)[:, -1]
 
     def __call__(self, env: Env, env_ids: torch.Tensor | None) -> None:
         """Advance one control step: end expired pushes and pauses, and start the next ones."""
         del env_ids
         self._time_left -= env.step_dt
         due = self._time_left < 1e-6
-        drawn = self._draw(env.num_envs)
+        drawn = rotation.uniform(self._low, self._high, env.num_envs, self._generator)
         self._is_pushed ^= due
         begins = due & self._is_pushed
         self._time_left = torch.where(due, torch.where(begins, drawn[:, -2], drawn[:, -1]), self._time_left)

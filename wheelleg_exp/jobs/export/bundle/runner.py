@@ -112,15 +112,17 @@ class Term:
 
     def travelled(self, readings: Mapping[str, Array]) -> Array:
         """Return the robot's measured minus commanded distance (m) and heading (rad), clipped to maximum errors."""
-        command = readings[self.spec["command"]][[0, 2]]
-        total, before = self.memory.get(-1, [np.zeros(2, F), command])
-        if -1 in self.memory:  # In the first step after a reset, the robot's distance and heading errors are 0.
-            forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
-            missed = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]]) - before
-            most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
-            total = np.clip(total + missed * F(self.dt), -most, most)
-        self.memory[-1] = [total, command]
-        return total
+        forwards = readings["joint_vel"][self.columns] * array(self.spec["signs"])
+        rates = array([np.mean(forwards) * F(self.spec["wheel_radius"]), readings["base_ang_vel"][2]])
+        most = array([self.spec["max_travel_error"], self.spec["max_heading_error"]])
+        return self.integral(rates, readings[self.spec["command"]][[0, 2]], most)
+
+    def integral(self, measured: Array, command: Array, most: Array) -> Array:
+        """Return the integral of a measured minus a commanded value within ±most, from 0 after a reset."""
+        total, before = self.memory.get(-1, [np.zeros_like(most), measured])
+        found: Array = np.clip(total + (measured - before).astype(F) * F(self.dt), -most, most)
+        self.memory[-1] = [found, command]
+        return found
 
     def height_error(self, readings: Mapping[str, Array]) -> Array:
         """Return the base's measured minus commanded height (m), and the clipped integral of this error (m·s)."""
@@ -132,11 +134,7 @@ class Term:
             turned = anchors + along + (arm - along) * np.cos(moved) + np.cross(axes, arm) * np.sin(moved)
             points = np.where(link["slides"], points + axes * moved, turned)
         height = np.mean(points @ readings["projected_gravity"]) + self.spec["wheel_radius"]
-        total, before = self.memory.get(-1, [np.zeros(1, F), command])
-        if -1 in self.memory:  # The integral starts at 0.
-            most = F(self.spec["max_height_error"])
-            total = np.clip(total + (height - before).astype(F) * F(self.dt), -most, most)
-        self.memory[-1] = [total, command]
+        total = self.integral(height, command, array([self.spec["max_height_error"]]))
         return np.concatenate((height - command, total)).astype(F)
 
     def modified(self, number: int, spec: Any, x: Array) -> Array:
@@ -274,11 +272,10 @@ class Bump:
         self.slow = self.slow + dt if slow and self.waited > known["wait_s"] else F(0)
         bumped = self.slow >= known["stopped_s"]
         self.waited = F(0) if bumped else self.waited
-        self.ahead = F(0) if bumped and self.phase != BACK else self.ahead
         if self.phase == BACK and (bumped or self.ahead >= known["back"]):  # or something is behind the robot
             self.phase = RUN_UP
         elif bumped:
-            self.phase = BACK
+            self.phase, self.ahead = BACK, F(0)
         if self.phase == RUN_UP and self.ahead <= known["before_s"] * known["run_up"] and not self.left:
             self.phase, self.left = OVER, known["window_s"]
         self.speed = self.speed + np.clip(self.wanted(asked) - self.speed, -most, most)
