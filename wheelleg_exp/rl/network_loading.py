@@ -56,8 +56,8 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
             wide = {n: pad(network[n], (0, more), value=value) for n, value in _INPUTS.items() if n in network}
             state[f"{role}_state_dict"] = {**network, **wide}
         if scales := initial.facts.get("scales"):
-            eps = getattr(getattr(algorithm, role).obs_normalizer, "eps", 0.0)
-            state[f"{role}_state_dict"] = _rescaled(state[f"{role}_state_dict"], scales, env.env, obs_groups[role], eps)
+            network, eps = state[f"{role}_state_dict"], getattr(getattr(algorithm, role).obs_normalizer, "eps", 0.0)
+            state[f"{role}_state_dict"] = _rescaled(network, role, scales, env.env, obs_groups[role], eps)
         has = {name: list(value.shape) for name, value in state[f"{role}_state_dict"].items()}
         needs = {name: list(value.shape) for name, value in own.items()}
         name = next((name for name in dict.fromkeys([*needs, *has]) if needs.get(name) != has.get(name)), None)
@@ -75,7 +75,12 @@ def load_initial(algorithm: PPO, initial: Initial, env: RslRlVecEnv, obs_groups:
 
 
 def _rescaled(
-    network: Mapping[str, torch.Tensor], scales: Mapping[str, float], env: Env, groups: Sequence[str], eps: float
+    network: Mapping[str, torch.Tensor],
+    role: str,
+    scales: Mapping[str, float],
+    env: Env,
+    groups: Sequence[str],
+    eps: float,
 ) -> dict[str, torch.Tensor]:
     """Return a network that moves the robot as before after the scales of actions have changed.
 
@@ -93,14 +98,17 @@ def _rescaled(
             column[part] = ratio.repeat((part.stop - part.start) // len(ratio))
         inputs.append(column)
     factor, made = torch.cat(inputs), dict(network)
+    if made["mlp.0.weight"].shape[1] != len(factor):
+        expected = f"the scales with which '{role}' was trained"
+        raise ConfigError("only MLPs can be converted to other scales of actions", key="env.actions", expected=expected)
     layer = made["mlp.0.weight"] / factor
     if (deviation := made.get("obs_normalizer._std")) is not None:
         for name, power in (("_mean", 1), ("_std", 1), ("_var", 2)):
             made[f"obs_normalizer.{name}"] = made[f"obs_normalizer.{name}"] * factor**power
         layer *= (factor * deviation + eps) / (deviation + eps)
     made["mlp.0.weight"] = layer
-    last = [name for name in made if name.startswith("mlp.")][-2:]  # the weight and the bias of the last layer
-    if len(made[last[1]]) == len(ratio):  # a policy
+    if role == "actor":
+        last = [name for name in made if name.startswith("mlp.")][-2:]  # the weight and the bias of the last layer
         made |= {name: torch.einsum("i,i...->i...", ratio, made[name]) for name in last}
     return made
 
