@@ -7,7 +7,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 INSTALLED := $(VENV)/.installed
 VIRTUALENV := .cache/virtualenv
 
-.PHONY: demo test quick setup clean
+.PHONY: demo test quick setup wheel clean
 
 # Train the robot to stand, then play the policy for one episode and print how it stood.
 demo: setup
@@ -22,6 +22,12 @@ test: setup
 # Lint, types, and the fast tests of single packages.
 quick: setup
 	$(BIN)/nox --sessions lint typecheck quick
+
+# One file that installs without this checkout.
+wheel:
+	@rm -rf build/lib build/bdist.* dist # setuptools would add modules that no longer exist
+	@$(PYTHON) -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+	@echo "built $$(ls dist/*.whl): uvx --from $$(ls dist/*.whl) wheelleg play stock:walk"
 
 setup: $(INSTALLED)
 
@@ -38,4 +44,4 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@touch $(INSTALLED)
 
 clean:
-	rm -rf $(VENV) .nox .cache .pytest_cache .mypy_cache .ruff_cache build *.egg-info
+	rm -rf $(VENV) .nox .cache .pytest_cache .mypy_cache .ruff_cache build dist *.egg-info

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 import sys
 import sysconfig
 from pathlib import Path
@@ -21,6 +22,16 @@ _PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 # `quick` leaves out these folders of tests, which start commands, and all tests with these marks.
 WHOLE = ("cli", "evaluation", "foreign", "gym", "jobs", "project", "promises", "report")
 SLOW = "slow or train or repro or full or pictures or browser or corpus"
+# Commands of an installed wheel, in a new project.
+SMOKE = (
+    "--version",
+    "play stock:walk env.num_envs=1",
+    "check --physics task=mine",
+    "train task=mine env.num_envs=16 agent.max_iterations=2",
+    "export latest -o bundle",
+    "export latest --format isaaclab -o isaaclab",
+    "import isaaclab --robot assets/mine/wheelleg.usda -o ../imported",
+)
 
 
 def _python(session: nox.Session, *words: str) -> None:
@@ -106,6 +117,25 @@ def _test_on_top(session: nox.Session, tests: str) -> None:
     Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
     session.install("-r", f"{tests}/requirements.txt")
     session.run("python", "-m", "pytest", "-p", "no:xdist", tests, *session.posargs)
+
+
+@nox.session(venv_backend="virtualenv")
+@nox.parametrize("versions", [nox.param("highest", id="newest"), nox.param("lowest-direct", id="oldest")])
+def wheel(session: nox.Session, versions: str) -> None:
+    """Build sdist and wheel, install only the wheel, with the newest or oldest allowed versions, and run commands."""
+    folder = Path(session.create_tmp()).absolute()
+    shutil.rmtree(folder)
+    session.install("uv")
+    session.run("uv", "build", "--quiet", "--out-dir", str(folder / "dist"))  # the wheel is built from the sdist
+    # Releases without a wheel for this Python are left out. Hydra's parser has no wheel at all.
+    wheels = ("--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime", "--resolution", versions)
+    session.run("uv", "pip", "install", "--quiet", *wheels, *session.posargs, *map(str, folder.glob("dist/*.whl")))
+    session.env.update({"PYTHONPATH": None, "WHEELLEG_CACHE": str(folder / "cache")})
+    session.chdir(folder)
+    session.run("wheelleg", "new", "mine")
+    session.chdir(folder / "mine")
+    for line in SMOKE:
+        session.run("wheelleg", *line.split())
 
 
 @nox.session

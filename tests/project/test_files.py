@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from project.robots import tetrahedron, urdf
 from wheelleg_exp.asset import convert
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.paths import assets_dir
-from wheelleg_exp.project.create import copy_robot
+from wheelleg_exp.project.create import copy_robot, robot_file
 
 
 def model(source: Path, folder: Path) -> dict[str, bytes]:
@@ -164,3 +165,48 @@ def test_a_copy_of_a_robot_of_the_corpus_is_the_same_robot(request, tmp_path):
         wanted = model(folder / item["asset"], tmp_path / f"{number}a")
         copy = moved(copy_robot(folder / item["asset"], tmp_path / "copy"), tmp_path / f"{number}far")
         assert model(copy, tmp_path / f"{number}b") == wanted, item["asset"]
+
+
+@pytest.fixture
+def descriptions(tmp_path, monkeypatch):
+    """Install a package robot_descriptions with a URDF, an MJCF, and a robot that cannot be downloaded."""
+    package = tmp_path / "site" / "robot_descriptions"
+    package.mkdir(parents=True)
+    table = "class One:\n    def __init__(self, urdf): self.has_urdf = urdf\nDESCRIPTIONS = "
+    rows = "{'two_description': One(True), 'two_mj_description': One(False), 'gone_description': One(True)}\n"
+    (package / "__init__.py").write_text(table + rows)
+    (package / "two_description.py").write_text(f"URDF_PATH = {str(urdf(tmp_path / 'robot'))!r}\n")
+    (package / "gone_description.py").write_text("raise OSError('no route to host')\n")
+    for name in [name for name in sys.modules if name.split(".")[0] == "robot_descriptions"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(package.parent))
+    yield tmp_path / "robot" / "two.urdf"
+    for name in [name for name in sys.modules if name.split(".")[0] == "robot_descriptions"]:
+        del sys.modules[name]
+
+
+def test_a_name_of_robot_descriptions_is_its_urdf_unless_a_file_has_this_name(descriptions, tmp_path, monkeypatch):
+    assert robot_file(Path("two_description")) == descriptions
+    monkeypatch.chdir(tmp_path)
+    Path("two_description").write_text("<robot/>")
+    assert robot_file(Path("two_description")) == Path("two_description")
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("two_descriptin", "there is no such file or robot description; .* did you mean 'two_description'?"),
+        ("two_mj_description", "is only MJCF; .* did you mean 'two_description'?"),
+        ("gone_description", "cannot load this robot: no route to host"),
+        ("two_description.urdf", "there is no such file; expected a USD or URDF file$"),
+    ],
+)
+def test_a_wrong_name_of_robot_descriptions_is_one_error(descriptions, name, error):
+    with pytest.raises(WheellegError, match=error):
+        robot_file(Path(name))
+
+
+def test_without_robot_descriptions_the_error_names_the_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    with pytest.raises(WheellegError, match="pip install robot_descriptions"):
+        robot_file(Path("two_description"))

@@ -12,7 +12,8 @@ from wheelleg_exp.errors import EXIT_OK
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("place", metavar="NAME", type=Path, help="the project's name, or a new folder that ends in it")
-    parser.add_argument("--robot", metavar="FILE", type=Path, help="a USD or URDF robot (default: the stock robot)")
+    text = "a USD or URDF file, or a name of the package robot_descriptions (default: the stock robot)"
+    parser.add_argument("--robot", metavar="FILE", type=Path, help=text)
     text = "create the project although colliders or wheels of the robot are missing"
     parser.add_argument("--allow-missing", action="store_true", help=text)
 

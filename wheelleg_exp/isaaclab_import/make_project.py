@@ -29,7 +29,7 @@ from wheelleg_exp.isaaclab_import.run_folder import RunFolder, malformed, read_f
 from wheelleg_exp.jobs.export.isaaclab_run import Tree
 from wheelleg_exp.jobs.job_display import Display
 from wheelleg_exp.plain_data import dump_yaml
-from wheelleg_exp.project.create import copy_robot, project_files, require_place, require_robot_file, write
+from wheelleg_exp.project.create import copy_robot, project_files, require_place, robot_file, write
 from wheelleg_exp.rl import checkpoint
 
 _POLICY = "imported_policy.pt"
@@ -80,7 +80,7 @@ def import_run(
     maps the run's names of joints and links to names in the robot file. An error leaves no files.
     """
     path = require_place(place)
-    require_robot_file(robot)
+    robot = robot_file(robot)
     folder, report, display = read_folder(source, policy), ImportReport(), display or Display()
     weights = read_policy(folder.policy) if folder.policy is not None else None
     author = AuthorTerms(terms, path.name, is_version_3(folder.config))

@@ -136,27 +136,46 @@ def require_place(place: Path) -> Path:
     return path
 
 
-def require_robot_file(source: Path) -> None:
-    """Raise AssetError if the robot file of a new project does not exist."""
+def robot_file(source: Path) -> Path:
+    """Return the robot file of a new project: an existing file, or that of a name of the package robot_descriptions."""
+    named = len(source.parts) == 1 and not source.suffix and not source.exists()
+    if named and importlib.util.find_spec("robot_descriptions") is not None:
+        return _described(source.name)
     if not source.is_file():
         folder = source.absolute().parent
         names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
         near = None if source.is_dir() else nearest_name(source.name, names)
         nearest = str(source.with_name(near)) if near else None
         message = "the path is a folder" if source.is_dir() else "there is no such file"
-        raise AssetError(message, key=f"--robot {source}", expected="a USD or URDF file", nearest=nearest)
+        package = ", or a name of the package robot_descriptions (pip install robot_descriptions)" if named else ""
+        raise AssetError(message, key=f"--robot {source}", expected=f"a USD or URDF file{package}", nearest=nearest)
+    return source
+
+
+def _described(name: str) -> Path:
+    """Return the URDF file of a robot description; the import of its module downloads the robot with git."""
+    key, known = f"--robot {name}", importlib.import_module("robot_descriptions").DESCRIPTIONS
+    if name not in known or not known[name].has_urdf:
+        message = "is only MJCF" if name in known else "there is no such file or robot description"
+        near = nearest_name(name, [other for other in known if known[other].has_urdf])
+        raise AssetError(message, key=key, expected="a USD or URDF file, or a description with a URDF", nearest=near)
+    try:
+        return Path(importlib.import_module(f"robot_descriptions.{name}").URDF_PATH)
+    except Exception as error:
+        raise AssetError(f"the package robot_descriptions cannot load this robot: {error}", key=key) from error
 
 
 def create(place: Path, source: Path | None = None, *, allow_missing: bool = False) -> Created:
     """Create a project in the new folder ``place``; the folder's name is the name of the project.
 
-    ``source`` is a USD or URDF file, by default that of the stock robot. ``allow_missing`` permits missing collider
-    files. An invalid name, place, or robot file raises WheellegError, and the partly created project is removed.
+    ``source`` is a USD or URDF file, or a name of the package robot_descriptions, by default the file of the stock
+    robot. ``allow_missing`` permits missing collider files. An invalid name, place, or robot file raises WheellegError,
+    and the partly created project is removed.
     """
     path = require_place(place)
     name = path.name
     if source is not None:
-        require_robot_file(source)
+        source = robot_file(source)
     # First write the project to a temporary folder, so that an error leaves no incomplete project.
     with for_people(path), temporary_folder(path) as scratch:
         draft = scratch / name
