@@ -212,6 +212,13 @@ def test_a_terrain_and_meshes_without_an_area_are_no_trouble(shown: Scenery, gra
     assert is_orange(image).mean() > 0.03
 
 
+def test_generated_ground_is_drawn_relative_to_each_environment(tmp_path: Path) -> None:
+    recording = Recording(write_recording(tmp_path / "r.rrd", env_ids=(0, 3), tile=True))
+    for env_id, x in ((0, 2.0), (3, 0.0)):  # The tile is below the origin of the second environment.
+        (tile,) = scenery(recording, env_id).scene.fixed
+        np.testing.assert_allclose(tile.pos, (x, 0.0, -0.01), atol=1e-6)
+
+
 def test_the_moment_of_a_term_is_searched_in_every_environment(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "r.rrd")
     for env_id, fell_at in ((0, 40), (3, 25), (7, 60)):

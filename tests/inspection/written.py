@@ -56,7 +56,7 @@ def numbers(steps: np.ndarray) -> Columns:
     }
 
 
-def write_recording(path: Path, *, env_ids: Sequence[int] = (0,), training: bool = False) -> Path:
+def write_recording(path: Path, *, env_ids: Sequence[int] = (0,), training: bool = False, tile: bool = False) -> Path:
     writer, steps = Writer(path, recording_id=path.stem), steps_of(training=training)
     iterations = (steps - 1) // ITERATION_STEPS if training else None
     told = {"format_version": 2, "purpose": "training" if training else "play", "env_ids": list(env_ids), "step_dt": DT}
@@ -74,6 +74,11 @@ def write_recording(path: Path, *, env_ids: Sequence[int] = (0,), training: bool
         writer.static(f"{branch}joints/knee", effort_limit=2.0, stiffness=3.0)
         writer.static(f"{branch}joints/roll", effort_limit=9.0, stiffness=0.0)
         _bodies(writer.stream, branch, steps, times(steps, iterations))
+        if tile:
+            writer.static(f"{branch}state", origin=[2.0 * place, 0.0, 0.0])
+    if tile:
+        block = rr.Boxes3D(half_sizes=[[0.5, 0.5, 0.01]], centers=[[2.0, 0.0, -0.01]])
+        writer.stream.log("ground/terrain/ground/0_0", block, static=True)
     square = TILE * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     ground = rr.Mesh3D(vertex_positions=square, triangle_indices=[[0, 1, 2], [0, 2, 3]])
     writer.stream.log("ground", ground, static=True)

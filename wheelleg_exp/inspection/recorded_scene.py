@@ -131,7 +131,9 @@ def scene_of(source: Source) -> Scene:
         reason = "".join(f": {event.text}" for event in source.recording.events("recording")[-1:])
         message = f"'{source.recording.path}' contains no moving robot{reason}"
         raise RunDirectoryError(message, expected="a recording of at least one whole step")
-    offset = _at(source.recording.static(f"{GROUND}/terrain"), ("translation",), 0, (0.0, 0.0, 0.0))
+    # Poses are relative to the origin of their own environment; the recorded offset is that of the first environment.
+    origin = source.recording.static(join(source.branch, "state")).get("origin") or (0.0, 0.0, 0.0)
+    offset = -np.asarray(origin, dtype=np.float64)
     terrain = [moved(shape, offset) for shape in _shapes_below(source, f"{GROUND}/terrain")]
     # The tile of the checkered ground is the edge between the first two corners of the recorded mesh.
     corners = np.asarray(source.recording.static(GROUND).get("vertex_positions") or [], dtype=np.float64)
@@ -207,8 +209,7 @@ def _size(source: Source, bodies: Mapping[str, Sequence[Shape]]) -> float:
 def _shapes_below(source: Source, root: str) -> Iterator[Shape]:
     head = f"{root}/"
     for entity in source.recording.entities():
-        tail = entity.removeprefix(head)
-        if entity.startswith(head) and "/" not in tail.replace("\\/", ""):
+        if entity.startswith(head):  # The names of the ground's geoms contain slashes.
             statics, archetypes = source.recording.static(entity), source.recording.archetypes(entity)
             shapes = _meshes(statics) if "vertex_positions" in statics else _solids(statics, archetypes)
             yield from filter(_is_drawable, shapes)
