@@ -12,7 +12,6 @@ import torch
 from jobs.small import TINY, Trained, copied, refused, succeed, wheelleg
 from wheelleg_exp.files import sha256
 from wheelleg_exp.jobs.train import source_roots as circumstances
-from wheelleg_exp.jobs.train.initial_networks import fit
 from wheelleg_exp.rl import checkpoint
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -20,7 +19,6 @@ pytestmark = pytest.mark.train
 
 WORDS = ["task=stand", *TINY, "agent.save_interval=1", "recording.enabled=false", "agent.logger=null"]
 KL = "+agent.initial_kl={weight: 1.0, except_while: velocity_commands}"
-A = "wheelleg_exp.mdp.actions."
 FROZEN = "agent.algorithm.learning_rate=1e-300"  # No float32 changes by so little.
 
 
@@ -151,12 +149,6 @@ def test_settings_that_do_not_fit_the_networks_are_named(trained: Trained, tmp_p
     found = refused("train", *WORDS, f"init_from={trained.run.path}", f"run.root={tmp_path}", *words)
     assert [text for text in messages if text not in found] == []
     assert not list(tmp_path.iterdir())
-
-
-def test_an_action_can_be_extended_but_not_reduced():
-    was, now = ({"actions": {"a": {"_target_": A + name}}} for name in ("JointPositionAction", "WheelLiftAction"))
-    assert fit((was, {}), (now, {}), (), "it").mistakes == []
-    assert [error.key for error in fit((now, {}), (was, {}), (), "it").mistakes] == ["env.actions.a._target_"]
 
 
 def test_a_checkpoint_can_be_named_and_a_changed_meaning_at_the_same_place_is_reported(trained, tmp_path):

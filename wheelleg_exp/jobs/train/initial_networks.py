@@ -24,7 +24,6 @@ from wheelleg_exp.rl.network_loading import Initial
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.run_config import load_params, upgrade_env_params
 from wheelleg_exp.run.run_directory import CHECKPOINT, RunDirectory, checkpoint_iteration
-from wheelleg_exp.terms.term_binding import resolve_target
 
 # ``_LAYOUT_KEYS`` are the config keys of an observation group that decide the layout of the observation vector.
 _LAYOUT_KEYS = ("history_length", "flatten_history_dim", "history_order", "concatenate_terms", "concatenate_dim")
@@ -106,18 +105,12 @@ def _compare_terms(
     for name in (name for name in now if name in was):
         for change in changes(was[name] or {}, now[name] or {}, same):
             path = f"{key}.{name}.{'.'.join(change.keys)}"
-            if change.keys[0] in fixed and not (key == "env.actions" and _is_extended(change)):
+            if change.keys[0] in fixed:
                 _refuse(found, path, _both_values(change, of))
             elif change.keys[0] not in free:
                 if change.keys[0].endswith("_cfg") or change.keys[0] == "joint_names":
                     found.suspects.append(_error(path, _both_values(change, of)))
                 found.notes.append(_describe_change(path, change.a, change.b))
-
-
-def _is_extended(change: Change) -> bool:
-    """Return whether the class of an action is now a subclass, which starts from what the action did."""
-    was, now = (resolve_target(str(target), "env.actions") for target in (change.a, change.b))
-    return isinstance(was, type) and isinstance(now, type) and issubclass(now, was)
 
 
 def _refuse(found: Fit, key: str, message: str) -> None:
