@@ -1,11 +1,7 @@
 """Actions: mapped to limits, averaged, binary, and delayed, compared with values computed by hand."""
 
-import math
-
 import pytest
 import torch
-
-from wheelleg_exp.mdp.commands import UniformVelocityTravelCommand
 
 A = "wheelleg_exp.mdp.actions."
 approx = pytest.approx
@@ -147,42 +143,3 @@ def test_a_new_episode_has_no_actions_of_the_last(start_env):
 def test_without_a_delay_nothing_is_saved(start_env):
     for lags in (None, [0, 0]):
         assert "delays" not in _delayed(start_env, lags).action_manager.state_dict()
-
-
-LIFT_S, RISE = 0.2, 0.03
-LEG = 0.08  # m, from a hip to a wheel; the default position of a hip is 0.2 rad
-
-
-def test_a_stopped_wheel_is_lifted_once_the_other_wheel_is_down(start_env, monkeypatch):
-    rates = torch.full((4, 2), 3.0)  # rad/s, 0.3 m/s
-    monkeypatch.setattr(UniformVelocityTravelCommand, "wheel_rates", property(lambda _: rates))
-    wheels = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_axle"]}
-    drive = {"ranges": {"lin_vel_x": [0.3, 0.3]}, "resampling_time_range": [99.0, 99.0], "wheel_cfg": wheels}
-    drive |= {"wheel_radius": 0.1, "max_travel_error": 1.0, "max_heading_error": 1.0}
-    lift = {"_target_": A + "WheelLiftAction", "joint_names": HIPS, "scale": 0.5, "command_name": "drive"}
-    lift |= {"height": RISE, "lift_s": LIFT_S, "stopped_share": 0.35, "stopped_s": 0.05, "wait_s": 0.1}
-    travel = {"_target_": "wheelleg_exp.mdp.commands.UniformVelocityTravelCommand", **drive}
-    env = start_env(commands={"drive": travel}, actions={"a": lift})
-    manager, term = env.action_manager, env.action_manager.get_term("a")
-    moved = []
-    for step in range(40):
-        if step == 10:  # Both wheels of one robot stop, and the left one of the second; the third robot stands.
-            rates[0], rates[1:3, 0], rates[3, 0] = 1.0, 1.0, 1.1  # rad/s; 1.05 is the limit
-            env.command_manager.get_command("drive")[2] = 0.0
-        manager.process_action(torch.full((4, 2), 0.4))
-        moved.append(term.processed_actions - 0.4)  # without the default position and the policy's 0.4 * 0.5
-        if step == 13:
-            rates[1] = 3.0
-    moved, dt = torch.stack(moved), env.step_dt
-    # The point of the wheel's circle about the hip that is nearest to the point RISE above the wheel
-    top = math.atan2(LEG * math.sin(0.2), LEG * math.cos(0.2) - RISE) - 0.2
-    wave = top * torch.sin(math.pi * torch.arange(11) * dt / LIFT_S)
-    torch.testing.assert_close(moved[12:23, 1, 0], wave, atol=1e-5, rtol=0.0)  # after three slow steps, of 0.06 s
-    torch.testing.assert_close(moved[12:23, 0], torch.stack((wave, 0 * wave), dim=1), atol=1e-5, rtol=0.0)
-    torch.testing.assert_close(moved[22:33, 0], torch.stack((0 * wave, wave), dim=1), atol=1e-5, rtol=0.0)
-    assert moved[:12].abs().max() < 1e-6
-    assert moved[23:, 1].abs().max() < 1e-6
-    assert moved[:, 2:].abs().max() < 1e-6
-    manager.reset(torch.tensor([0]))
-    manager.process_action(torch.full((4, 2), 0.4))
-    assert term.processed_actions[0].tolist() == approx([0.4, 0.4])

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 
 import torch
 
-from wheelleg_exp.constraints import Bounds, Names, Positive, Share
+from wheelleg_exp.constraints import Bounds, Names, Share
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import ActionTerm, Env, member
-from wheelleg_exp.mdp.commands.velocity_commands import travel_command
-from wheelleg_exp.mdp.root_motion import wheel_lifts
 from wheelleg_exp.sim.ids import narrowed
 from wheelleg_exp.sim.names import valueless_errors, values_by_name
 
@@ -134,64 +132,6 @@ class JointPositionAction(_DefaultOffsetAction):
 
     drives = "position"
     apply_actions = JointTerm._set_targets
-
-
-class WheelLiftAction(JointPositionAction):
-    """Position targets of legs, which also lift a wheel that a step has stopped. Not in Isaac Lab.
-
-    A lift is a half sine over time, and is added to the targets of the policy, which learns to climb the step from it
-    (https://arxiv.org/abs/2509.02986). One wheel is lifted at a time, first the one that has stopped for longest.
-
-    Args:
-        command_name: a command of class ``UniformVelocityTravelCommand``.
-        height: how far the wheel rises relative to the base, m.
-        lift_s: duration of a lift, s.
-        stopped_share: a wheel has stopped if it is slower than this share of the commanded speed.
-        stopped_s: time for which it must be so slow, s.
-        wait_s: time for which the robot must drive before slow wheels count, s: it first rolls back.
-    """
-
-    def __init__(
-        self,
-        env: Env,
-        joint_names: Names,
-        command_name: str,
-        height: Positive,
-        lift_s: Positive,
-        stopped_share: Share,
-        stopped_s: Positive,
-        wait_s: Positive,
-        scale: float | Mapping[str, float] = 1.0,
-        offset: float | Mapping[str, float] = 0.0,
-        clip: Mapping[str, Bounds] | None = None,
-        preserve_order: bool = False,
-        use_default_offset: bool = True,
-        asset_name: str = "robot",
-    ) -> None:
-        super().__init__(env, joint_names, scale, offset, clip, preserve_order, use_default_offset, asset_name)
-        self._travel, self._dt, self._lift_s = travel_command(env, command_name), env.step_dt, lift_s
-        self._share, self._stopped_s, self._wait_s = stopped_share, stopped_s, wait_s
-        wheels = self._travel._wheel_ids
-        self._lifts = wheel_lifts(env.scene.model, self._robot, wheels, self.joint_names, height)
-        zeros = torch.zeros(env.num_envs, len(self._lifts), device=env.device)
-        self._driven = self.buffer("_driven", zeros[:, :1].clone(), fill=0.0)  # s, negative backwards
-        self._slow = self.buffer("_slow", zeros.clone(), fill=0.0)  # s with a slow wheel
-        self._left = self.buffer("_left", zeros, fill=0.0)  # s until the end of the lift
-
-    def process_actions(self, actions: torch.Tensor) -> None:
-        command, speeds = self._travel.command[:, :1], self._travel.wheel_rates * self._travel._radius
-        way = command.sign()
-        self._driven.add_(way * self._dt).masked_fill_(way * self._driven <= 0.0, 0.0)
-        is_slow = (way * speeds < self._share * command.abs()) & (self._driven.abs() > self._wait_s)
-        self._slow.add_(self._dt).masked_fill_(~is_slow, 0.0)
-        self._left.sub_(self._dt).clamp_(min=0.0)
-        longest = torch.nn.functional.one_hot(self._slow.argmax(dim=1), self._slow.shape[1]).bool()
-        starts = longest & (self._slow >= self._stopped_s) & (self._left.amax(dim=1, keepdim=True) < 0.5 * self._dt)
-        self._left.masked_fill_(starts, self._lift_s)
-        self._slow.masked_fill_(starts, 0.0)
-        super().process_actions(actions)
-        self.processed_actions.addmm_(torch.sin(torch.pi * self._left / self._lift_s), self._lifts)
-        self._clip()
 
 
 class RelativeJointPositionAction(JointAction):

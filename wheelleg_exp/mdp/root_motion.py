@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import mujoco
-import numpy as np
 import torch
 
 from wheelleg_exp.managers import Env
@@ -50,32 +48,6 @@ def default_pose(model: mujoco.MjModel, robot: Any) -> mujoco.MjData:
         data.qpos[model.joint(name).qposadr[0]] = value
     mujoco.mj_kinematics(model, data)
     return data
-
-
-def wheel_lifts(
-    model: mujoco.MjModel, robot: Any, wheel_ids: Ids, joints: Sequence[str], height: float
-) -> torch.Tensor:
-    """Return the moves of L joints, rad, that raise each of W wheels by ``height``, m, relative to the root, (W, L).
-
-    A wheel rises straight from its place in the default pose, as far as the joints and their limits allow.
-    """
-    pose, wheels = default_pose(model, robot), robot.layout.joint_ids[wheel_ids].tolist()
-    legs = [model.joint(name).id for name in joints]
-    at, limits = model.jnt_qposadr[legs], model.jnt_range[legs].T
-    low, high = np.where(model.jnt_limited[legs], limits, [[-np.inf], [np.inf]])
-    start, goals = pose.qpos[at], pose.xanchor[wheels] + height * pose.xmat[robot.body_ids[0]].reshape(3, 3)[:, 2]
-    jacobian = np.zeros((len(wheels), 3, model.nv))
-    for _ in range(50):  # Gauss-Newton with a small damping, because the joints of a leg can be dependent
-        mujoco.mj_comPos(model, pose)
-        for i, wheel in enumerate(wheels):
-            mujoco.mj_jac(model, pose, jacobian[i], None, pose.xanchor[wheel], int(model.jnt_bodyid[wheel]))
-        slopes = jacobian[:, :, model.jnt_dofadr[legs]]
-        damped = slopes @ slopes.mT + 1e-3 * np.square(slopes).mean() * np.eye(3)
-        moves = slopes.mT @ np.linalg.solve(damped, (goals - pose.xanchor[wheels])[:, :, None])
-        pose.qpos[at] = np.clip(pose.qpos[at] + moves.sum(axis=0)[:, 0], low, high)
-        mujoco.mj_kinematics(model, pose)
-    lifts = (pose.qpos[at] - start) * (np.abs(slopes).max(axis=1) > 0.0)
-    return torch.tensor(lifts, dtype=torch.float32, device=robot.layout.joint_ids.device)
 
 
 class Link(NamedTuple):

@@ -220,15 +220,10 @@ class UniformVelocityTravelCommand(UniformVelocityCommand):
         self._most = torch.tensor([max_travel_error, max_heading_error], device=env.device)
 
     @property
-    def wheel_rates(self) -> torch.Tensor:
-        """Rates at which W wheels roll forwards, rad/s, (N, W)."""
-        rates: torch.Tensor = self._wheels.data.joint_vel[:, self._wheel_ids] * self._signs
-        return rates
-
-    @property
     def rolled(self) -> torch.Tensor:
         """Speed at which the wheels roll, on average, m/s, (N,)."""
-        return self.wheel_rates.mean(dim=1) * self._radius
+        speeds: torch.Tensor = self._wheels.data.joint_vel[:, self._wheel_ids] * self._signs
+        return speeds.mean(dim=1) * self._radius
 
     def compute(self, dt: float) -> torch.Tensor:
         turned = self.robot.data.root_ang_vel_measured[:, 2]
@@ -270,16 +265,11 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
     return signs
 
 
-def travel_command(env: Env, command_name: str) -> UniformVelocityTravelCommand:
-    """Return the travel command ``command_name``; raise ConfigError if the command is of another class."""
+def integrated_travel_error(env: Env, command_name: str) -> torch.Tensor:
+    """Return the integrated distance error (m) and heading error (rad) of a travel command, (N, 2)."""
     term = env.command_manager.get_term(command_name)
     if not isinstance(term, UniformVelocityTravelCommand):
         expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand"
         message = f"the command '{command_name}' does not integrate its error"
         raise ConfigError(message, key="command_name", expected=expected)
-    return term
-
-
-def integrated_travel_error(env: Env, command_name: str) -> torch.Tensor:
-    """Return the integrated distance error (m) and heading error (rad) of a travel command, (N, 2)."""
-    return travel_command(env, command_name).travel_error
+    return term.travel_error
