@@ -82,7 +82,7 @@ def test_a_strip_ends_before_the_drive_over_it():
 
 def test_steps_count_in_radii_of_the_wheels_and_cells_fit_into_them(env):
     terrain = env("task=steps")["scene"]["terrain"]
-    assert terrain["sub_terrains"]["step"]["box_height_range"] == pytest.approx([0.012, 0.078])
+    assert terrain["sub_terrains"]["step"]["box_height_range"] == pytest.approx([0.006, 0.078])
     width, cell = terrain["sub_terrains"]["stairs"]["step_width"], terrain["horizontal_scale"]
     assert width / cell == pytest.approx(5.0, abs=1e-4)
 
