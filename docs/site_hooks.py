@@ -32,7 +32,7 @@ def on_nav(nav: Navigation, config: Any, **_: Any) -> None:
     config.extra["navigation"] = nav
 
 
-def on_env(env: Any, config: Any, files: Files, **_: Any) -> None:
+def on_env(_env: Any, config: Any, files: Files, **_: Any) -> None:
     """Add llms.txt, an index for language models: each page of the navigation with its first sentence."""
     lines = [f"# {config.site_name}", "", f"> {config.site_description}"]
     for section in config.extra["navigation"].items:

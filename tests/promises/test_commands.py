@@ -37,6 +37,7 @@ class Line:
 
 ELSEWHERE = "--root elsewhere/runs"
 MINE = "--config-dir elsewhere/mine"
+RESULTS = f"results page {{run}} {ELSEWHERE} {MINE}"
 INSPECT = f"inspect {{run}} {ELSEWHERE}"
 TRAINED, SLOW, PICTURES = ("train", "slow"), ("slow",), ("pictures",)
 
@@ -59,7 +60,7 @@ LINES = [
     Line("doctor {robot} --screenshot it.png", "wheel", "it.png", status=1, marks=PICTURES),
     # --- robots and projects ---
     Line("convert {robot} -o robot.xml --variant Physics=PhysX --base fixed --json", '"mapped"', "robot.xml"),
-    Line("new mine_too --robot {urdf} --allow-missing", "mine_too", "mine_too/configs", marks=SLOW),
+    Line("new mine_too --robot {urdf} --allow-missing --json", '"project": "mine_too"', "mine_too/configs", marks=SLOW),
     Line("completion bash", "complete"),
     # --- a run and its recording ---
     Line(f"list runs {ELSEWHERE} --filter task=stand status=finished --sort started --reverse --json", "{run}"),
@@ -80,7 +81,7 @@ LINES = [
     Line(f"play {{run}} {ELSEWHERE} --script elsewhere/drive.yaml --scene rough --json", r"\{", marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} {MINE} --checkpoint 0 --json {SHORT}", '"stand/time_to_failure"', marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} --against reference --reference --stored {SHORT}", "reference", marks=SLOW),
-    Line(f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --stored {SHORT}", "", "pages", marks=SLOW),
+    Line(f"{RESULTS} --into pages --reference --stored --json {SHORT}", '"result": "page"', "pages", marks=SLOW),
     Line(f"zero-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---
