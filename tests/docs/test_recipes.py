@@ -1,5 +1,6 @@
 """The recipes of the docs, run as they stand: their files are written, and their commands find no mistake."""
 
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -9,6 +10,9 @@ from typing import Any
 
 import pytest
 import yaml
+from promises.golden import STOCK_ROBOT
+from promises.parsers import parser_of
+from promises.runs import unpack
 
 from wheelleg_exp.cli.configs import compose as printing
 from wheelleg_exp.cli.main import main
@@ -16,12 +20,24 @@ from wheelleg_exp.config.composing.compose import Composed, compose
 
 pytestmark = pytest.mark.slow
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "recipes.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TEXT = (DOCS / "recipes.md").read_text(encoding="utf-8")
 FILE = re.compile(r"`([\w./]+\.(?:yaml|py|toml))`[^`]*?:\n```(?:yaml|python|toml)\n(.*?)```", re.DOTALL)
 SHELL = re.compile(r"```bash\n(.*?)```", re.DOTALL)
-COMMANDS = [line for block in SHELL.findall(TEXT) for line in block.splitlines() if line.startswith("wheelleg ")]
 SIMULATING = {"train", "zero-agent", "random-agent"}  # of these the config is checked, and no more
 OWN_OPTIONS = {"--steps": 2, "-m": 1}
+READING = {"check", "compose", "convert", "diff", "doctor", "explain", "inspect", "list", "verify"}
+LACKING = {"--play", "--against"}  # The stored run has no play, and no robot wrote a log.
+# The words of the skills that a user replaces; `BASE` and the like become the stored run.
+PLACES = {"path/to/robot.urdf": str(STOCK_ROBOT), "robot=myrobot": "robot=article"}
+
+
+def commands_of(text: str) -> list[str]:
+    return [line for block in SHELL.findall(text) for line in block.splitlines() if line.startswith("wheelleg ")]
+
+
+COMMANDS = commands_of(TEXT)
+SKILLS = {path.stem: commands_of(path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("skills/*.md"))}
 STAND = compose(["task=stand"]).config["env"]
 
 
@@ -124,3 +140,37 @@ def test_a_task_changes_its_agent(folder):
     config = composed("task=patient", folder=folder / "my_configs").config
     assert config["agent"]["max_iterations"] == 300
     assert config["recording"]["enabled"] is False
+
+
+@pytest.fixture(scope="module")
+def with_run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A folder with one finished run; the name of the run."""
+    root = tmp_path_factory.mktemp("skills")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(root)
+        patch.setenv("WHEELLEG_CACHE", str(root / "cache"))
+        yield unpack(root / "runs").name
+
+
+def test_each_skill_has_a_use_commands_and_a_judgement():
+    assert set(SKILLS) == {"bring_a_robot", "change_a_reward", "compare_policies", "deploy", "why_does_it_fall"}
+    for name, lines in SKILLS.items():
+        text = (DOCS / "skills" / f"{name}.md").read_text(encoding="utf-8")
+        assert re.search(r"\A# .+\n\nUse this when .*?```bash\n.*?\n## Judge the result\n", text, re.DOTALL), name
+        assert len(lines) > 3
+
+
+@pytest.mark.parametrize("line", [line for lines in SKILLS.values() for line in lines])
+def test_a_command_of_a_skill_works(with_run, capsys, line):
+    """Run what only reads, check the config of what trains, and parse the rest."""
+    words = [PLACES.get(word, word) for word in shlex.split(line.split("  #")[0])[1:]]
+    words = [with_run if re.fullmatch(r"(BASE|CHANGED)(_\d)?", word) else word for word in words]
+    if words[0] in SIMULATING:
+        words = checkable(shlex.join(["wheelleg", *words])) or []
+    if words[0] not in READING or LACKING & set(words):
+        parser_of(words[0]).parse_intermixed_args(words[1:])
+        return
+    status, printed = main(words), capsys.readouterr()
+    finding = {"diff": "task=walk", "doctor": str(STOCK_ROBOT)}  # Two tasks differ; the stock file has faults.
+    assert status == (finding.get(words[0]) in words), printed.err
+    assert "--json" not in words or json.loads(printed.out) is not None

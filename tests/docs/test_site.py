@@ -38,3 +38,13 @@ def test_the_site_is_searched_by_parts_of_keys_and_loads_nothing_from_other_host
     assert [path.name for path in pages if loads.search(path.read_text(encoding="utf-8"))] == []
     recipes = (site / "recipes.html").read_text(encoding="utf-8")
     assert '<span class="nt">defaults</span>' in recipes  # Pygments has coloured a YAML key.
+
+
+@pytest.mark.slow
+def test_the_index_for_language_models_lists_every_page_of_the_navigation_with_a_sentence(site: Path):
+    text = (site / "llms.txt").read_text(encoding="utf-8")
+    assert text.startswith("# wheelleg_exp\n\n> ")
+    found = re.findall(r"^- \[(.+)\]\((.+)\): (.{15,})$", text, re.MULTILINE)
+    named = re.findall(r"^ +- .*?([\w./]+)\.md$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [path.removesuffix(".html") for _, path, _ in found] == [name.replace("README", "index") for name in named]
+    assert [path for _, path, _ in found if not (site / path).is_file()] == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -56,6 +57,21 @@ def test_an_imported_run_plays_and_trains_further(
     assert "rigid_object" not in text
     assert "scene.cube" in text
     assert "{{" not in text
+
+
+def test_the_answer_as_json_lists_every_row_of_the_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(tmp_path / "run", ENV)
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", "run", "--robot", str(ROBOT), "-o", "flip1", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["project"] == "flip1"
+    assert not Path(found["run"]).is_absolute()
+    assert RunDirectory.open(found["run"], "nowhere").latest_checkpoint().is_file()
+    rows = [row for row in found["report"] if row["key"] == "scene.cube"]
+    assert [row["outcome"] for row in rows] == ["dropped"]
+    assert all(row["key"] in (tmp_path / "flip1" / "README.md").read_text() for row in found["report"])
 
 
 def built(project: Path, *words: str) -> ManagerBasedRLEnv:

@@ -1,9 +1,11 @@
 """One command line for each option that no other test uses from the command line: see ledger.yaml."""
 
+import json
 import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -37,6 +39,7 @@ class Line:
 
 ELSEWHERE = "--root elsewhere/runs"
 MINE = "--config-dir elsewhere/mine"
+RESULTS = f"results page {{run}} {ELSEWHERE} {MINE}"
 INSPECT = f"inspect {{run}} {ELSEWHERE}"
 TRAINED, SLOW, PICTURES = ("train", "slow"), ("slow",), ("pictures",)
 
@@ -59,7 +62,7 @@ LINES = [
     Line("doctor {robot} --screenshot it.png", "wheel", "it.png", status=1, marks=PICTURES),
     # --- robots and projects ---
     Line("convert {robot} -o robot.xml --variant Physics=PhysX --base fixed --json", '"mapped"', "robot.xml"),
-    Line("new mine_too --robot {urdf} --allow-missing", "mine_too", "mine_too/configs", marks=SLOW),
+    Line("new mine_too --robot {urdf} --allow-missing --json", '"project": "mine_too"', "mine_too/configs", marks=SLOW),
     Line("completion bash", "complete"),
     # --- a run and its recording ---
     Line(f"list runs {ELSEWHERE} --filter task=stand status=finished --sort started --reverse --json", "{run}"),
@@ -80,7 +83,7 @@ LINES = [
     Line(f"play {{run}} {ELSEWHERE} --script elsewhere/drive.yaml --scene rough --json", r"\{", marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} {MINE} --checkpoint 0 --json {SHORT}", '"stand/time_to_failure"', marks=SLOW),
     Line(f"evaluate {{run}} {ELSEWHERE} --against reference --reference --stored {SHORT}", "reference", marks=SLOW),
-    Line(f"results page {{run}} {ELSEWHERE} {MINE} --into pages --reference --stored {SHORT}", "", "pages", marks=SLOW),
+    Line(f"{RESULTS} --into pages --reference --stored --json {SHORT}", '"result": "page"', "pages", marks=SLOW),
     Line(f"zero-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---
@@ -124,6 +127,18 @@ def files(tmp_path, tmp_path_factory, monkeypatch) -> Iterator[dict[str, str]]:
     return {"run": run.name, **{name: str(path) for name, path in found.items()}}
 
 
+@cache
+def documented_fields() -> dict[str, set[str]]:
+    """The words in backticks of each row of docs/scripting.md, by command."""
+    text = (REPOSITORY / "docs/scripting.md").read_text(encoding="utf-8").partition("## Fields")[2]
+    rows = re.findall(r"^\| (`[^|]+`) \| (.+) \|$", text, re.MULTILINE)
+    return {name: set(re.findall(r"`(\w+)`", row)) for names, row in rows for name in re.findall(r"`([\w-]+)`", names)}
+
+
+def test_every_command_with_json_has_documented_fields():
+    assert set(documented_fields()) == {name for name in COMMANDS if "--json" in COMMANDS[name].options}
+
+
 @pytest.mark.parametrize(
     "line", [pytest.param(line, marks=[getattr(pytest.mark, m) for m in line.marks], id=line.words) for line in LINES]
 )
@@ -137,6 +152,10 @@ def test_a_command_line_works(line: Line, files: dict[str, str], tmp_path: Path,
     assert status in ({0, 1} if elsewhere else {line.status}), err
     assert re.search(line.output.replace("{run}", files["run"]), out), out
     assert not line.file or Path(line.file).exists(), sorted(Path().iterdir())
+    if "--json" in words and words[0] != "compose":
+        found = json.loads(out)
+        fields = set(found[0] if isinstance(found, list) else found)
+        assert fields <= documented_fields()[words[0]]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -7,7 +7,7 @@ import os
 import shlex
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import offer
+from wheelleg_exp.cli.arguments import add_json, offer, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 _WIDEST = 200  # letters of a row's text; README.md has the whole text
@@ -24,6 +24,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     text = "a YAML file that maps the run's names of joints and links to those of the robot file"
     parser.add_argument("--names", metavar="FILE", type=Path, help=text)
     parser.add_argument("-o", "--output", metavar="PROJECT", type=Path, required=True, help="the new project's folder")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,6 +38,11 @@ def run(args: argparse.Namespace) -> int:
     files = {"policy": args.policy, "terms": args.terms, "names": args.names}
     made = import_apart(args.source, args.robot, args.output, **files, command=args.command)
     place = os.path.relpath(made.path)
+    if args.json:
+        run_place = None if made.run is None else os.path.relpath(made.run)
+        rows = [vars(row) for row in made.report.rows]
+        print_json({"project": place, "run": run_place, "init_from_what": made.what, "report": rows})
+        return EXIT_OK
     print(f"created {place}: {made.report.counts()}")
     for outcome in (CODE, ASSUMED, DROPPED):
         for row in made.report.of(outcome):

@@ -6,6 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
+from wheelleg_exp.cli.arguments import add_json, print_json
 from wheelleg_exp.errors import EXIT_OK
 
 
@@ -16,6 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", metavar="FILE", type=Path, help=text)
     text = "create the project although colliders or wheels of the robot are missing"
     parser.add_argument("--allow-missing", action="store_true", help=text)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -28,6 +30,12 @@ def run(args: argparse.Namespace) -> int:
     made = create(args.place, args.robot, allow_missing=args.allow_missing)
     robot, facts = made.robot, made.robot.facts
     shown = os.path.relpath(made.path)
+    if args.json:
+        found = {"mass_kg": facts.mass, "standing_height_m": facts.standing_height, "legs": robot.legs}
+        found |= {"held": robot.held, "wheels": robot.wheels, "notes": robot.notes, "accepted": made.accepted}
+        files = sorted(os.path.relpath(file, made.path) for file in made.files)
+        print_json({"project": shown, "robot": made.path.name, **found, "files": files})
+        return EXIT_OK
     print(f"created {shown}: {len(made.files)} files")
     print(f"  robot: {facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
     print(f"  legs: {', '.join(robot.legs) or 'none'}")

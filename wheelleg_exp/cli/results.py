@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 import tempfile
 from pathlib import Path
 
-from wheelleg_exp.cli.arguments import add_config_dir, add_root, add_stored
+from wheelleg_exp.cli.arguments import add_config_dir, add_json, add_root, add_stored, print_json
 from wheelleg_exp.cli.printing.terminal import shown, tool
 from wheelleg_exp.errors import EXIT_FINDING, EXIT_OK, WheellegError, nearest_name
 from wheelleg_exp.terms.key_syntax import is_override
@@ -31,6 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--again", action="store_true", help=text)
     add_config_dir(parser)
     add_root(parser)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,8 +65,11 @@ def _write(args: argparse.Namespace) -> int:
         made = [evaluator.policy(*one, words) for one in chosen]
         reference = evaluator.reference(made[0], words) if args.reference else None
     compared = compare(made, [] if reference is None else [reference], reference, args.command, args.name)
-    for path in write_results(args.name, args.into, compared, made, reference, words):
-        print(shown(path.absolute()))
+    written = [shown(path.absolute()) for path in write_results(args.name, args.into, compared, made, reference, words)]
+    if args.json:
+        print_json({"result": args.name, "files": written})
+        return EXIT_OK
+    print(*written, sep="\n")
     into = "" if args.into == FOLDER else f" --into {args.into}"
     print(f"reproduce: {tool('wheelleg')} results {args.name} --again{into}")
     return EXIT_OK
@@ -86,16 +91,23 @@ def _again(args: argparse.Namespace) -> int:
         raise WheellegError(message, key="NAME", expected=expected, nearest=nearest_name(missing[0], pages))
     # Read the JSON files of all results first, so that a damaged file raises an error before the first training.
     records = {name: read_result(name, args.into) for name in names}
-    differ = False
+    verdicts: dict[str, dict[str, object]] = {}
+    say = _report if args.json else _say
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
         for name, (record, manifests) in records.items():
-            found = reproduce(record, manifests, Path(folder), _say, args.config_dirs, trained)
+            found = reproduce(record, manifests, Path(folder), say, args.config_dirs, trained)
             for line in (*found.differences, f"{name}: {found.verdict}"):
-                _say(line)
-            differ = differ or bool(found.differences)
-    return EXIT_FINDING if differ else EXIT_OK
+                say(line)
+            verdicts[name] = {"verdict": found.verdict, "differences": found.differences}
+    if args.json:
+        print_json({"results": verdicts})
+    return EXIT_FINDING if any(found["differences"] for found in verdicts.values()) else EXIT_OK
 
 
 def _say(text: str) -> None:
     print(text, flush=True)
+
+
+def _report(text: str) -> None:
+    print(text, file=sys.stderr)

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 
 from wheelleg_exp.cli.arguments import (
+    UsageError,
     add_json,
     add_overrides,
     add_primary,
@@ -18,6 +19,7 @@ from wheelleg_exp.cli.printing.terminal import hanging, screen_width
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.provenance import Mount
 from wheelleg_exp.config.explaining.explanation import Explanation, explain_key
+from wheelleg_exp.config.explaining.json_schema import DRAFT, json_schema
 from wheelleg_exp.config.key_slots import section_of
 from wheelleg_exp.errors import EXIT_OK
 from wheelleg_exp.report.value_format import plain as shown
@@ -31,7 +33,10 @@ _SHOWN = 24  # `wheelleg explain` prints at most 24 values or keys of a list.
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    offer("key", parser.add_argument("key", metavar="KEY", help="a key, set or not (env.sim.dt), or a group (robot)"))
+    text = "a key, set or not (env.sim.dt), or a group (robot)"
+    offer("key", parser.add_argument("key", nargs="?", metavar="KEY", help=text))
+    text = "print the JSON Schema of the config that 'compose --resolve --json' prints, or of its part KEY"
+    parser.add_argument("--schema", action="store_true", help=text)
     add_overrides(parser)
     add_json(parser)
     add_primary(parser)
@@ -39,11 +44,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the explanation of a config key; users can type the key before, between, or after overrides."""
-    words = [args.key, *args.overrides]
+    words = [word for word in (args.key, *args.overrides) if word is not None]
     keys = [index for index, word in enumerate(words) if not is_override(word)]
-    key = words.pop(keys[0] if len(keys) == 1 else 0)
+    if not words and not args.schema:
+        raise UsageError("the argument is missing", key="KEY")
+    key = "" if args.schema and not keys else words.pop(keys[0] if len(keys) == 1 else 0)
     args.overrides = words
-    explained = explain_key(compose(words, primary=primary_of(args, key), config_dirs=args.config_dirs), key)
+    composed = compose(words, primary=primary_of(args, key), config_dirs=args.config_dirs)
+    if args.schema:  # Explain the key first, because an unknown key is an error.
+        part = split_path(explain_key(composed, key).key) if key else ()
+        print_json({"$schema": DRAFT, **json_schema(composed.config, part)})
+        return EXIT_OK
+    explained = explain_key(composed, key)
     if args.json:
         print_json(document(explained))
         return EXIT_OK
