@@ -98,7 +98,7 @@ def test_a_policy_with_a_jump_command_drives_onto_the_same_steps_blindly_and_oth
     assert set(without.episodes["test"]) == {"terrain"}
     assert without.metrics["bump/success"].episodes == 0
     assert without.scenarios_sha256 == made.scenarios_sha256
-    with pytest.raises(ConfigError, match="commands no jump"):
+    with pytest.raises(ConfigError, match="has no jump command"):
         evaluate(*task, zeros, protocol("steps", *short, "protocol.terrain=null"))
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from mdp.fakes import close, entity, fake_env
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.mdp import rewards
 
 T = torch.tensor
@@ -285,6 +286,8 @@ def test_a_weight_is_added_while_a_jump_is_commanded(start_env):
     term.start(torch.tensor([True, False]))
     env.step(torch.zeros(2, env.action_manager.total_action_dim))
     assert env.reward_manager.step_reward.sum(dim=0).tolist() == [0.25, 1.0]
+    with pytest.raises(ConfigError, match="'alive_in_jump' has state"):
+        rewards.while_commanded(env, "alive_in_jump", "jump")
 
 
 def test_the_apex_of_a_jump_is_known_at_the_take_off():

@@ -196,7 +196,7 @@ def test_a_name_of_robot_descriptions_is_its_urdf_unless_a_file_has_this_name(de
     ("name", "error"),
     [
         ("two_descriptin", "there is no such file or robot description; .* did you mean 'two_description'?"),
-        ("two_mj_description", "is only MJCF; .* did you mean 'two_description'?"),
+        ("two_mj_description", "this robot description has no URDF; .* did you mean 'two_description'?"),
         ("gone_description", "cannot load this robot: no route to host"),
         ("two_description.urdf", "there is no such file; expected a USD or URDF file$"),
     ],

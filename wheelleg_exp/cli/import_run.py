@@ -17,7 +17,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "the run's folder, or its env.yaml or deploy.yaml"
     offer("run", parser.add_argument("source", metavar="RUN", type=Path, help=text))
-    parser.add_argument("--robot", metavar="FILE", type=Path, required=True, help="the robot's USD or URDF file")
+    text = "the robot's USD or URDF file, or a name of the package robot_descriptions"
+    parser.add_argument("--robot", metavar="FILE", type=Path, required=True, help=text)
     parser.add_argument("--policy", metavar="FILE", type=Path, help="a policy: model_<n>.pt, policy.pt, or policy.onnx")
     text = "the author's Python code, of which the needed functions are copied, and then run"
     parser.add_argument("--terms", metavar="FOLDER", type=Path, help=text)

@@ -92,7 +92,7 @@ def _again(args: argparse.Namespace) -> int:
     # Read the JSON files of all results first, so that a damaged file raises an error before the first training.
     records = {name: read_result(name, args.into) for name in names}
     verdicts: dict[str, dict[str, object]] = {}
-    say = _report if args.json else _say
+    say = _print_to_stderr if args.json else _print
     trained: dict[str, RunDirectory] = {}
     with tempfile.TemporaryDirectory(prefix="wheelleg-results-") as folder:
         for name, (record, manifests) in records.items():
@@ -105,9 +105,9 @@ def _again(args: argparse.Namespace) -> int:
     return EXIT_FINDING if any(found["differences"] for found in verdicts.values()) else EXIT_OK
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     print(text, flush=True)
 
 
-def _report(text: str) -> None:
+def _print_to_stderr(text: str) -> None:
     print(text, file=sys.stderr)

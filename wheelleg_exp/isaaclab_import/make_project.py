@@ -53,7 +53,7 @@ def import_apart(source: Path, robot: Path, place: Path, **options: Any) -> Impo
     """Call ``import_run`` in a child process, because the author's code can end the process or use all memory."""
     path = require_place(place)
     try:
-        importing = partial(import_run, source, robot, place, **options)
+        importing = partial(import_run, source, robot_file(robot), place, **options)  # can download for minutes
         return call_limited(importing, key=str(source), seconds=120, gib=8)
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)

@@ -302,7 +302,10 @@ def while_commanded(env: Env, term: str, command_name: str) -> torch.Tensor:
 
     In such a phase, for example a jump, its weight adds to that of ``term``, which must be a function.
     """
-    value: torch.Tensor = env.reward_manager.get_term_cfg(term)(env)
+    found = env.reward_manager.get_term_cfg(term)
+    if isinstance(found.func, TermBase) or found.func is while_commanded:
+        raise ConfigError(f"the reward '{term}' has state", key="term", expected="another reward that is a function")
+    value: torch.Tensor = found(env)
     return value * (env.command_manager.get_command(command_name)[:, 0] != 0.0)
 
 

@@ -156,7 +156,9 @@ def _described(name: str) -> Path:
     """Return the URDF file of a robot description; the import of its module downloads the robot with git."""
     key, known = f"--robot {name}", importlib.import_module("robot_descriptions").DESCRIPTIONS
     if name not in known or not known[name].has_urdf:
-        message = "is only MJCF" if name in known else "there is no such file or robot description"
+        message = (
+            "this robot description has no URDF" if name in known else "there is no such file or robot description"
+        )
         near = nearest_name(name, [other for other in known if known[other].has_urdf])
         raise AssetError(message, key=key, expected="a USD or URDF file, or a description with a URDF", nearest=near)
     try:

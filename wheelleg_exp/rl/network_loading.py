@@ -22,6 +22,7 @@ from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
 # The tensors whose columns are a network's inputs, and the value that a new input has.
 _INPUTS = {"mlp.0.weight": 0.0, "obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
+_LAST_ACTION = "wheelleg_exp.mdp.observations.last_action"
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,22 @@ def _rescaled(
 ) -> dict[str, torch.Tensor]:
     """Return a network that moves the robot as before after the scales of actions have changed.
 
-    ``scales`` maps action terms to their former over their present scale. Observations named ``last_action`` change
+    ``scales`` maps action terms to their former over their present scale. Observations of the last action change
     likewise. ``eps`` is what rsl_rl adds to their standard deviation. The exploration noise keeps its size in units of
     the action.
     """
-    terms = env.action_manager.active_terms
-    ratio = torch.cat([torch.full((env.action_manager.get_term(n).action_dim,), scales.get(n, 1.0)) for n in terms])
-    inputs = []
+    actions, observations, inputs = env.action_manager, env.observation_manager, []
+    each = {n: torch.full((actions.get_term(n).action_dim,), scales.get(n, 1.0)) for n in actions.active_terms}
+    ratio = torch.cat([*each.values()])
     for group in groups:
-        parts = env.observation_manager.term_parts(group)
+        parts = observations.term_parts(group)
         column = torch.ones(max(part.stop for found in parts.values() for part in found))
-        for part in parts.get("last_action", ()):
-            column[part] = ratio.repeat((part.stop - part.start) // len(ratio))
+        for name, observed in observations.terms(group).items():
+            if observed.term.target == _LAST_ACTION:
+                one = observed.term.params.get("action_name")
+                own = ratio if one is None else each[one]
+                for part in parts[name]:
+                    column[part] = own.repeat((part.stop - part.start) // len(own))
         inputs.append(column)
     factor, made = torch.cat(inputs), dict(network)
     if made["mlp.0.weight"].shape[1] != len(factor):

@@ -106,7 +106,7 @@ class Agent(Learning):
         warm_start: number of rollouts before the first iteration in which the actor learns the actions of the reference
             controller. A training with ``init_from`` has none.
         warm_critic: number of first iterations in which only the critic learns, at the learning rate 0.001. They do not
-            change the policy, its exploration noise, and its observation normalisation.
+            change the policy, its exploration noise, or its observation normalisation.
         initial_kl: a loss that keeps the policy near its initial policy; null means no such loss.
     """
 

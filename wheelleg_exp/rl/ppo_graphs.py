@@ -69,7 +69,7 @@ class CapturedUpdate:
         self._stream = torch.cuda.Stream(algorithm.device) if captures and self._on_gpu else None
         self._graph: Any = None
         self._captured: tuple[int, ...] = ()
-        self._ran: list[bool] = []  # which of the actor's parameters learned in the last update
+        self._learned: list[bool] = []  # which of the actor's parameters learned in the last update
         storage = algorithm.storage
         rows = storage.num_envs * storage.num_transitions_per_env // algorithm.num_mini_batches
         self._rows = torch.zeros(rows, dtype=torch.long, device=algorithm.device)
@@ -102,7 +102,7 @@ class CapturedUpdate:
                     state["step"] = state["step"].to(parameter.device)
         if self._stream is None:
             self._each(order, self._minibatch)
-        elif self._ran == learns:
+        elif self._learned == learns:
             if self._graph is None or self._captured != self._memory():
                 self._capture(order)
             self._each(order, self._graph.replay)
@@ -112,7 +112,7 @@ class CapturedUpdate:
             with torch.cuda.stream(self._stream):
                 self._each(order, self._minibatch)
             torch.cuda.current_stream().wait_stream(self._stream)
-            self._ran, self._graph = learns, None
+            self._learned, self._graph = learns, None
         observations = storage.observations.flatten(0, 1)
         for network in (algorithm.actor, algorithm.critic):
             # Update means and standard deviations of observations in place, because the CUDA graph reads them there.

@@ -63,8 +63,8 @@ def type_schema(annotation: Any) -> dict[str, Any]:
         for limit in constraints_of(annotation):
             if isinstance(limit, limits.MayBeInfinite):
                 found = {"anyOf": [found, {"enum": ["inf", "-inf"]}]}
-            for kind, keywords in _KEYWORDS.items():
-                found |= keywords(limit) if isinstance(limit, kind) else {}
+            for constraint, keywords in _KEYWORDS.items():
+                found |= keywords(limit) if isinstance(limit, constraint) else {}
         return found
     if kind in (typing.Union, types.UnionType):
         return {"anyOf": [type_schema(option) for option in arguments]}

@@ -42,7 +42,7 @@ changes nothing, and the caller must decide what the drives do."""
 
 _BUMP = """With `policy.bump.on = True` (in C `guard.jumps_after_bump = 1`), `update` makes the robot jump onto a step
 that stopped its wheels: drive back, run up, jump. `update` then limits the acceleration of the command, and a jump
-command above 0 starts a jump. The section `bump` of `policy.json` has the settings; `on` is the value at the start."""
+command above 0 starts a jump. The section `bump` of `policy.json` has the settings; `on` is the value after `begin`."""
 
 
 def _safety(spec: PolicyJson) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from wheelleg_exp.constraints import Count
 from wheelleg_exp.errors import ConfigError, nearest_name
 
-_DOWN = 0.97  # In a good simulation of a robot on level ground, all wheels touch the ground in more of the steps.
+_LEAST_CONTACT = 0.97  # If wheels touch level ground in a smaller share of the steps, the physics steps are too long.
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
             shown = "not a number" if finite is None else f"{finite:.4g}"
             why.append(f"{name} is {shown}, but must be {'at least' if least else 'at most'} {bound:g}")
     down = [value for name, value in metrics.items() if name.endswith("/wheels_down_share") and value is not None]
-    if why and min(down, default=1.0) < _DOWN:
+    if why and min(down, default=1.0) < _LEAST_CONTACT:
         cause = "halve env.robot.physics_dt and double env.robot.decimation, unless it jumps or crosses obstacles"
         why.append(f"a wheel is off the ground in {1.0 - min(down):.0%} of the steps: {cause}")
     return Verdict(not why, values, why)

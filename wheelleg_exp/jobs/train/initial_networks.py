@@ -176,8 +176,8 @@ def initial_file(config: Tree, note: Callable[[str], None]) -> Iterator[tuple[di
         networks = {"actor_state_dict": checkpoint.policy_state(state), "critic_state_dict": {}}
         networks |= {f"{part}_state_dict": state[f"{part}_state_dict"] for part in parts[1:]}
         facts |= _require_fit(source, config, parts[:2], note)
-        if "further" in facts and "optimizer" in parts:
-            message = f"the optimiser of '{source.label}' does not know the new observations"
+        if facts.keys() & {"further", "scales"} and "optimizer" in parts:
+            message = f"the optimiser of '{source.label}' does not fit the converted networks"
             raise ConfigError(message, key=WHAT, expected="networks or policy")
         part = {"format_version": checkpoint.FORMAT_VERSION, "iter": int(state["iter"]), **networks, "init_from": facts}
     with tempfile.TemporaryDirectory(prefix="wheelleg-init-") as folder:

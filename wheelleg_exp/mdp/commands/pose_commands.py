@@ -394,8 +394,8 @@ class JumpCommand(CommandTerm):
 
     Args:
         window_s: time in which the robot must jump, s.
-        heights: range of the commanded clearance of the wheels, m, of which a jump before a step, or of a user, has the
-            largest; null: no height is commanded.
+        heights: range of the commanded clearance of the wheels, m. A jump before a step, or one that a user starts, has
+            the largest value. null: no height is commanded.
         rel_jumping_envs: share of draws with a jump.
         velocity_command: name of a velocity command before this one; null means no jumps before steps.
         ahead_s: time until the base reaches the point ahead, s.

@@ -320,6 +320,8 @@ class Policy:
     def begin(self, startup: bool = True) -> None:
         """Start the operation of ``update``: with the start-up procedure, or with the policy at once."""
         self.readings = {name: Reading(rule) for name, rule in self.safety["readings"].items()}
+        if self.bump is not None:
+            self.bump.on = self.spec["bump"]["on"]
         self.phase, self.reason = "rest" if startup else "run", STOPPED
         self.now: int | None = None  # µs, of the previous update
         self.phase_steps = self.calm = self.tilted = 0

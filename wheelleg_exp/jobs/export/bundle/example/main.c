@@ -41,6 +41,14 @@ int main(int argc, char **argv) {
         for (i = 0; i < POLICY_NUMBERS; i++) values[i] = (float)field(&next);
         memcpy(&readings, values, sizeof readings);
         status = policy_update(&guard, &readings, llround(1e6 * time), llround(1e6 * time), &targets, &gain);
+#if POLICY_HAS_BUMP /* log the commands that the policy got */
+        if (guard.phase == POLICY_RUN && guard.jumps_after_bump) {
+            memcpy(values + POLICY_BUMP_VELOCITY, guard.policy.bump.command, sizeof guard.policy.bump.command);
+            values[POLICY_BUMP_JUMP] = guard.policy.bump.left / POLICY_BUMP_WINDOW_S;
+            for (i = 1; i < POLICY_BUMP_NUMBERS; i++)
+                values[POLICY_BUMP_JUMP + i] = guard.policy.bump.left > 0.0f ? POLICY_BUMP_HEIGHT : 0.0f;
+        }
+#endif
         printf("%.6f", time);
         for (i = 0; i < POLICY_NUMBERS; i++) printf(",%.9g", values[i]);
         for (i = 0; i < POLICY_JOINTS; i++) printf(",%.9g", targets.position[i]);
