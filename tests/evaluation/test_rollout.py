@@ -78,7 +78,8 @@ def test_the_next_observation_and_the_stored_state_before_it_show_a_push(task):
 def held(task, name, term, make, *changes) -> torch.Tensor:
     """Return the values of a command over 4 s, (T, N, D), in the test of the same name."""
     options = read_protocol(name, *changes)
-    env = compose([f"task={'jump' if term == 'jump' else 'height'}"]).config["env"]
+    jump = ["task=jump", "env.commands.jump.heights=[0.02,0.05]", "env.commands.jump.window_s=0.8"]
+    env = compose(jump if term == "jump" else ["task=height"]).config["env"]
     table = make(getattr(options, name))
     cfg = replace(settings(env, options, table.size, 4.0), terminations={})
     made = Rollout(build(cfg, task[1], 5), replace(table, horizon_s=4.0), replace(options, fall_tilt=3.2))

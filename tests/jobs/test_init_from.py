@@ -66,7 +66,7 @@ def test_a_new_observation_at_the_end_starts_without_influence(trained: Trained,
     assert (new[first][:, -added:] == 0.0).all()
     assert same({**new, first: old[first]}, old)
     words = (*WORDS, f"+{TERMS}=[base_height]", "init_from_what=learning", f"run.root={tmp_path}")
-    assert "does not know the new observations" in refused("train", *words, f"init_from={trained.run.path}")
+    assert "does not fit the converted networks" in refused("train", *words, f"init_from={trained.run.path}")
 
 
 def test_check_finds_what_training_would_refuse_to_begin_with(trained: Trained):
