@@ -199,7 +199,8 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
         if math.isnan(b):  # A drive that is a neural network has the gains NaN.
             continue
         stable = (a < 2.0 and b < 4.0 - 2.0 * a) if explicit else b < 4.0 + 2.0 * a
-        if stable and (explicit or drive.stiffness == 0.0 or a <= MOST_DAMPING):
+        # The time step of a robot file's project will follow from its drives.
+        if stable and (explicit or not case.of_task or drive.stiffness == 0.0 or a <= MOST_DAMPING):
             continue
         criterion = "kd·dt/I < 2 and kp·dt²/I < 4 - 2·kd·dt/I" if explicit else "kp·dt²/I < 4 + 2·kd·dt/I"
         key = "damping" if stable or (explicit and a >= 2.0) else "stiffness"
