@@ -145,7 +145,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ``extras["non_finite"]`` names the reward terms or the physics that produced NaN or inf. Raise SimulationFailure
         if an observation or a number that an event wrote is NaN or inf.
         """
-        self._settings_may_have_changed()
+        self.settings_may_have_changed()
         # ``skipped`` is the mask (N,) of environments that this step only resets.
         ends, is_late = self.termination_manager, self.autoreset == "next_step"
         skipped = ends.dones & (self.episode_length_buf > 0) if is_late else None
@@ -163,7 +163,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         ended = self._end_episodes(reward_failed)
         for observe in self.observers:
             observe()
-            self._settings_may_have_changed()
+            self.settings_may_have_changed()
         self.recorder_manager.record_post_step()
 
         if self.autoreset != "same_step":
@@ -171,11 +171,11 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         self._reset_ended(ended)
         if self.command_manager.may_draw(self.step_dt):
             self._advance_commands(draws=True)
-            self._settings_may_have_changed()
+            self.settings_may_have_changed()
         else:
             self._advance_without_draws()
         if self.event_manager.apply_due(self.step_dt) or self._sensors_refresh:
-            self._settings_may_have_changed()
+            self.settings_may_have_changed()
         self.scene.show_written()
         observations = self._observe()
         if self.graph_capture is not None:
@@ -185,7 +185,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
             require_finite_observations(self, is_noted=True)
         return observations, self.reward_buf.clone(), ends.terminated.clone(), ends.time_outs.clone(), self.extras
 
-    def _settings_may_have_changed(self) -> None:
+    def settings_may_have_changed(self) -> None:
         """Compare all settings before the next replay of a CUDA graph, because user-defined code has run."""
         if self.graph_capture is not None:
             self.graph_capture.is_checked = False
@@ -217,7 +217,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
     def _restart(
         self, seed: int | None, env_ids: torch.Tensor | None, state: RobotState | None, is_relative: bool
     ) -> tuple[Observations, dict[str, object]]:
-        self._settings_may_have_changed()
+        self.settings_may_have_changed()
         ids = torch.arange(self.num_envs, device=self.device) if env_ids is None else torch.unique(env_ids)
         self.recorder_manager.record_pre_reset(ids)
         if seed is not None:
@@ -309,7 +309,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
         # Run the curriculum first, because the curriculum needs the terminal state, which reset events overwrite.
         self.curriculum_manager.compute(env_ids)
         if self.curriculum_manager.active_terms:
-            self._settings_may_have_changed()
+            self.settings_may_have_changed()
         self.command_manager.read_settings()
         # Select the robots with errors outside of the CUDA graph, because their number varies.
         self.extras["log"] = self._reset_rows(env_ids, env_ids[env_ids >= self.exact_envs] if self.exact_envs else None)
@@ -369,7 +369,7 @@ class ManagerBasedRLEnv(IsaacLabAttributes):
 
     def load_state_dict(self, saved: Mapping[str, Any]) -> None:
         """Restore a state that ``state_dict`` returned, in an environment that was built from the same config."""
-        self._settings_may_have_changed()
+        self.settings_may_have_changed()
         saved = {name: part if name == "streams" else cloned(part, self.device) for name, part in saved.items()}
         self.seed = saved["seed"]
         self.common_step_counter = saved["common_step_counter"]

@@ -68,6 +68,7 @@ def test_a_moment_between_two_steps_waits_for_the_second_and_rounding_counts_for
         ("- {for: soon}", ["for", "'soon'", "seconds"]),
         ("- {for: 1}\n- for: 1\n  push: [1]", [":3", "push", "[1]", "m/s forwards, or [forwards, to the left]"]),
         ("- {reset: 1, for: 1}", ["reset", "true"]),
+        ("- {trigger: bumps, for: 1}", ["trigger", "'bumps'", "step or bump"]),
         ("- {lin_vel_x: 0.1}", ["for", "end", ":1"]),
         ("lin_vel_x: 0.1", ["--script", "- {at: 1.0, lin_vel_x: 0.3, for: 2.0}"]),
         ("- {at: 1", ["--script", "not YAML"]),
@@ -83,7 +84,7 @@ def test_a_mistake_is_reported_with_its_line(script, text, words):
 def test_a_task_without_jumps_has_no_jumps_in_its_scripts(script):
     assert read_script(script("- {jump: true, for: 1}"), AXES).entries[0].requests
     with pytest.raises(ConfigError, match="jump: unknown key"):
-        read_script(script("- {jump: true, for: 1}"), AXES, jumps=False)
+        read_script(script("- {jump: true, for: 1}"), AXES, missing=["jump"])
 
 
 def test_a_missing_script_is_reported(tmp_path):

@@ -4,16 +4,18 @@ import math
 import socket
 import threading
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
+import yaml
 from patience import PATIENCE_S
 
-from jobs.drive.cart import VELOCITY, cart, cart_env, driver
+from jobs.drive.cart import RADIUS, VELOCITY, cart, cart_env, driver
 from wheelleg_exp.config.schema import Drive
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.drive.drive_page import DrivePage, InputServer
-from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Jump, Push, Reset, ScriptPlayer, read_script
 from wheelleg_exp.jobs.drive.drive_session import DriveSession
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
@@ -138,6 +140,67 @@ def test_a_jump_is_commanded_once_on_request_and_repeats_from_the_script(tmp_pat
     assert sum(value > 0.0 for value in seen) == 10
     assert session.meter.figures()["jumps"] == 1
     assert {"at": 1.0, "jump": True, "for": 1.0} in session.driven.script(session.steps)
+
+
+def _stopped_cart(folder):
+    """A cart that jumps; a step at 0.2 m stops its wheels unless it jumps."""
+    wheels = {"_target_": "wheelleg_exp.managers.SceneEntityCfg", "name": "robot", "joint_names": [".*_axle"]}
+    travel = {"_target_": "wheelleg_exp.mdp.commands.UniformVelocityTravelCommand", "wheel_cfg": wheels}
+    travel |= {"wheel_radius": RADIUS, "max_travel_error": 1.0, "max_heading_error": 1.0, "max_lin_acceleration": 2.0}
+    jump = {"_target_": "wheelleg_exp.mdp.commands.JumpCommand", "velocity_command": "base_velocity", "window_s": 0.4}
+    jump |= {"resampling_time_range": [9.0, 9.0], "bump": {"wait_s": 0.3, "back": 0.1, "run_up": 0.25}}
+    env = cart_env(folder, commands={"base_velocity": VELOCITY | travel, "jump": jump})
+
+    def policy(observations):
+        x, jumps = float(env.scene.robot.data.root_pos_w[0, 0]), float(env.command_manager.get_command("jump")) > 0.0
+        is_stopped = 0.2 < x < 0.22 and float(observations["policy"][0, 0]) > 0.0 and not jumps
+        return driver(env)(observations) * (not is_stopped)
+
+    return DriveSession(RslRlVecEnv(env), policy)
+
+
+def test_the_key_for_bumps_makes_a_stopped_robot_back_up_and_jump_and_a_script_repeats_it(tmp_path):
+    pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
+    session, way = _stopped_cart(tmp_path), []
+    commands = session.env.command_manager
+
+    def drive_on(seconds):
+        for _ in range(round(seconds / session.env.step_dt)):
+            session.step()
+            speed, jump = commands.get_command("base_velocity")[0, 0], commands.get_command("jump")
+            way.append((float(session.env.scene.robot.data.root_pos_w[0, 0]), float(speed), float(jump)))
+
+    with DrivePage(0, ["own"], []) as page:
+        page.open(session, Choose(), OPTIONS, [tmp_path / "model_1.pt"])
+        session.controls.set("lin_vel_x", 0.3)
+        drive_on(2.0)
+        place, speed, jump = way[-1]
+        assert (place, speed, jump) == (pytest.approx(0.2, abs=0.02), pytest.approx(0.3), 0.0)  # The user sees no jump.
+        page._hands.press("trigger")
+        page.show(session.status())
+        assert page._bumps.label == "Jump at bumps: on"
+        drive_on(3.0)
+        start = next(x for x, _, jump in way if jump > 0.0)
+        assert min(way[100:])[0] < place - 0.1  # m, ``back``
+        assert start == pytest.approx(place - 0.11 * 0.25, abs=0.01)  # m, ``before_s * run_up``
+        assert (way[-1][0] > 0.3, way[-1][1]) == (True, pytest.approx(0.3))  # beyond the step, as the user wants
+        page._hands.press("trigger")
+        drive_on(0.1)
+    changes = [abs(now - before) for (_, before, _), (_, now, _) in pairwise(way)]
+    assert max(changes) == pytest.approx(2.0 * 0.02, rel=1e-3)  # m/s; ``max_lin_acceleration`` in a step of 20 ms
+    entries = session.driven.script(session.steps)
+    assert [(entry["at"], entry["trigger"]) for entry in entries if "trigger" in entry] == [
+        (0.0, "step"),
+        (2.0, "bump"),
+        (5.0, "step"),
+    ]
+    (path := tmp_path / "driven.yaml").write_text(yaml.safe_dump(entries))
+    again = _stopped_cart(tmp_path)
+    hand = ScriptPlayer(read_script(path, again.axes), again.controls, again.env.step_dt)
+    for step in range(hand.last_step):
+        hand.before(step)
+        again.step()
+    assert again.env.scene.robot.data.root_pos_w.tolist() == session.env.scene.robot.data.root_pos_w.tolist()
 
 
 def test_the_key_for_getting_up_hands_over_and_back(tmp_path):

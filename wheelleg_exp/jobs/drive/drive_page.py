@@ -27,7 +27,7 @@ from PIL import Image
 
 from wheelleg_exp.config import schema
 from wheelleg_exp.errors import ConfigError, WheellegError, nearest_name
-from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Finish, Jump, Push, Reset
+from wheelleg_exp.jobs.drive.drive_script import Axis, Choose, Controls, Finish, Jump, Push, Reset, Trigger
 from wheelleg_exp.jobs.drive.drive_session import DriveSession, Status
 from wheelleg_exp.plain_data import Unreadable, json_value
 from wheelleg_exp.recording.writing.live_view import LOOPBACK
@@ -66,7 +66,7 @@ _BOX_STYLE = "font-size:0.82em;line-height:1.5;padding:0.2em 1em"
 # The keys that the page lists; the axis or skill before a colon is one that not every task has.
 _KEYS_HELP = (
     "lin_vel_x: W S drive | ang_vel_z: A D turn | lin_vel_y: Q E sideways | height: T G height | jump: J jump | "
-    "F push | get_up: U get up | R reset | X stop | M slow | Space pause"
+    "trigger: B jump at bumps | F push | get_up: U get up | R reset | X stop | M slow | Space pause"
 )
 
 
@@ -133,6 +133,7 @@ KEY_ACTIONS = {
     "KeyR": "reset",
     "KeyF": "push",
     "KeyJ": "jump",
+    "KeyB": "trigger",
     "KeyU": "get_up",
     "KeyX": "stop",
     "KeyM": "slow",
@@ -202,6 +203,8 @@ class InputServer:
             controls.request(Push(self.push))
         elif name == "jump":
             controls.request(Jump())
+        elif name == "trigger" and controls.trigger is not None:
+            controls.trigger = "step" if controls.trigger == "bump" else "bump"
         elif name == "get_up" and self.next_policy is not None:
             controls.request(Choose(policy=self.next_policy))
 
@@ -250,6 +253,7 @@ class DrivePage:
         self._port = port
         self._scenes, self._policies = list(scenes), list(policies)
         self._policy = self._policies[0] if self._policies else None
+        self._trigger: Trigger | None = None  # the user's choice, also while a policy without jumps has the robot
         self._back: str | None = None  # the policy to which the key for getting up hands the robot back
         self._stack = ExitStack()
 
@@ -289,6 +293,8 @@ class DrivePage:
         """Show the robot and its controls, and return the page's URL."""
         self._session, self._hands.push = session, options.push
         session.controls.paused, session.controls.speed = self._hands.controls.paused, self._hands.controls.speed
+        self._trigger = self._hands.controls.trigger or self._trigger
+        session.controls.trigger = session.controls.trigger and (self._trigger or session.controls.trigger)
         self._checkpoints = {path.stem: path for path in checkpoints}
         self._policy = choice.policy or self._policy
         get_up = options.get_up
@@ -316,6 +322,8 @@ class DrivePage:
             self._sliders = {name: self._slider(name) for name in controls.axes}
             if not controls.axes:
                 gui.add_markdown("This task's commands have no ranges: the robot can be pushed, not driven.")
+            self._bumps = gui.add_button("Jump at bumps", hint="b", visible=controls.trigger is not None)
+            self._bumps.on_click(lambda _: self._hands.press("trigger"))
             gui.add_button("Stop", hint="x").on_click(lambda _: controls.stop())
         with gui.add_folder("Time"):
             self._pause = gui.add_button("Pause", hint="space")
@@ -334,7 +342,8 @@ class DrivePage:
             finish = gui.add_button("Finish", hint="end the drive and write its figures")
             finish.on_click(lambda _: controls.request(Finish()))
         # Run the JavaScript for keys and gamepads in every browser page, including pages that are opened later.
-        has = {*controls.axes, *(["jump"] if session.jumps else []), *(["get_up"] if self._hands.next_policy else [])}
+        skills = {"jump": session.jumps, "trigger": controls.trigger, "get_up": self._hands.next_policy}
+        has = {*controls.axes, *(name for name, one in skills.items() if one)}
         source = self._hands.javascript(f"wheelleg_exp · {self._policy or 'drive'}", keys_html(has))
         from viser._messages import RunJavascriptMessage
 
@@ -357,6 +366,7 @@ class DrivePage:
             for name, value in status.commands.items():
                 if self._mirrored.get(name) != value:  # Move the slider of a command that keyboard or script changed.
                     self._mirrored[name] = self._sliders[name].value = value
+            self._bumps.label = f"Jump at bumps: {'on' if self._controls.trigger == 'bump' else 'off'}"
             self._pause.label = "Resume" if self._controls.paused else "Pause"
 
     def _show_surroundings(self) -> None:

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 import threading
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeGuard
+from typing import Literal, TypeGuard, get_args
 
 import yaml
 
@@ -103,17 +103,22 @@ class Finish:
     """End the drive."""
 
 
+Trigger = Literal["step", "bump"]
 RobotRequest = Push | Jump | Reset
 Request = RobotRequest | Choose | Finish
 
 
 class Controls:
-    """The user's commands and pending requests; thread-safe. ``speed`` is simulated seconds per second of real time."""
+    """The user's commands and pending requests; thread-safe. ``speed`` is simulated seconds per second of real time.
+
+    ``trigger`` is that of the jump command (``step`` or ``bump``); None if the robot cannot jump after a bump.
+    """
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self.axes = {axis.name: axis for axis in axes}
         self.paused = False
         self.speed = 1.0
+        self.trigger: Trigger | None = None
         self._lock = threading.Lock()
         self._values = {axis.name: axis.rest for axis in axes}
         self._requests: list[Request] = []
@@ -153,7 +158,7 @@ class Controls:
 
 
 _TIMES = ("at", "for")
-_ACTIONS = ("push", "jump", "reset", "stop")
+_ACTIONS = ("push", "jump", "trigger", "reset", "stop")
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,7 @@ class Entry:
     at: float  # simulated time, s
     values: Mapping[str, float]
     requests: Sequence[Request] = ()
+    trigger: Trigger | None = None
     stops: bool = False  # With ``stops``, commands that the entry omits become 0, or the middle of a range without 0.
 
 
@@ -191,6 +197,7 @@ class ScriptPlayer:
         for entry in self._script.entries[self._next : due]:
             if entry.stops:
                 self._controls.stop()
+            self._controls.trigger = entry.trigger or self._controls.trigger
             for name, value in entry.values.items():
                 self._controls.set(name, value)
             for request in entry.requests:
@@ -198,9 +205,9 @@ class ScriptPlayer:
         self._next = max(due, self._next)
 
 
-def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Script:
-    """Read a drive script; ConfigError names its wrong line. Without ``jumps``, ``jump`` is an unknown key."""
-    names = [*_TIMES, *(axis.name for axis in axes), *(name for name in _ACTIONS if jumps or name != "jump")]
+def read_script(path: Path, axes: Sequence[Axis], *, missing: Collection[str] = ()) -> Script:
+    """Read a drive script; ConfigError names its wrong line. The actions ``missing`` are unknown keys."""
+    names = [*_TIMES, *(axis.name for axis in axes), *(name for name in _ACTIONS if name not in missing)]
     text = read_text(path)
     try:
         value, tree = yaml_value(text), yaml_tree(text)
@@ -227,7 +234,11 @@ def read_script(path: Path, axes: Sequence[Axis], *, jumps: bool = True) -> Scri
             message = f"{at:g} s is before the command above"
             raise ConfigError(message, key="at", where=place.of("at"), expected=f"at least {before:g}")
         values = {axis.name: _value(axis, item[axis.name], place) for axis in axes if axis.name in item}
-        entries.append(Entry(at, values, list(_requests(item, place)), _flag(item, "stop", place)))
+        trigger = item.get("trigger")
+        if trigger not in (None, *get_args(Trigger)):
+            message, expected = f"unknown trigger {trigger!r}", " or ".join(get_args(Trigger))
+            raise ConfigError(message, key="trigger", where=place.of("trigger"), expected=expected)
+        entries.append(Entry(at, values, list(_requests(item, place)), trigger, _flag(item, "stop", place)))
         end = at + _seconds(item, "for", place, default=0.0)
     if "for" not in value[-1]:
         message = "the last entry does not give the end of the drive"
@@ -299,11 +310,11 @@ class DriveLog:
     def __init__(self, step_dt: float) -> None:
         self._step_dt = step_dt
         self._entries: list[tuple[int, dict[str, object]]] = []
-        self._values: dict[str, float] = {}
+        self._values: dict[str, object] = {}
 
-    def commanded(self, step: int, values: Mapping[str, float]) -> None:
-        """Record the commands that apply in a control step."""
-        changed: dict[str, object] = {name: value for name, value in values.items() if self._values.get(name) != value}
+    def commanded(self, step: int, values: Mapping[str, object]) -> None:
+        """Record the commands and the trigger of jumps that apply in a control step."""
+        changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         if changed:
             self._entries.append((step, changed))
             self._values = dict(values)

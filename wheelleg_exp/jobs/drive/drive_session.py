@@ -16,7 +16,7 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.evaluation.disturbance_tests import add_velocity
 from wheelleg_exp.jobs.drive.drive_script import Axis, CommandHold, Controls, DriveLog, Jump, Push, Reset, RobotRequest
 from wheelleg_exp.managers.non_finite import require_finite_actions
-from wheelleg_exp.mdp.commands import JumpCommand
+from wheelleg_exp.mdp.commands import JumpCommand, UniformVelocityTravelCommand
 from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 from wheelleg_exp.sim.scene import RobotState
@@ -149,6 +149,9 @@ class DriveSession:
         self.jumps = [term for term in terms.values() if isinstance(term, JumpCommand)]
         for term in self.jumps:
             term.share = 0.0  # The user starts the jumps.
+            # A jump after a bump needs a velocity command that measures how far the wheels roll.
+            if isinstance(terms.get(term.velocity_command or ""), UniformVelocityTravelCommand):
+                self.controls.trigger = term.trigger
         self._hold(self.controls.values)
         if start is None:
             self.env.reset()
@@ -162,9 +165,13 @@ class DriveSession:
 
     def step(self) -> None:
         """Simulate one control step with the user's current commands."""
-        values = self.controls.values
-        self.driven.commanded(self.steps, values)
+        values, trigger = self.controls.values, self.controls.trigger
+        self.driven.commanded(self.steps, values | ({} if trigger is None else {"trigger": trigger}))
         self._hold(values)
+        for term in self.jumps:
+            if trigger not in (None, term.trigger):
+                term.select_trigger(trigger)
+                self.env.settings_may_have_changed()
         actions = self._policy(self._adapter.get_observations())
         require_finite_actions(self.env, actions)
         self._adapter.step(actions)

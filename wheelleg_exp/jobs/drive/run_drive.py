@@ -210,7 +210,8 @@ def _drive_one(
     session = DriveSession(prepared.adapter, prepared.policy, state)
     script = None
     if request.script is not None:
-        script = read_script(request.script, session.axes, jumps=bool(session.jumps))
+        has = {"jump": session.jumps, "trigger": session.controls.trigger}
+        script = read_script(request.script, session.axes, missing=[name for name, one in has.items() if not one])
     with dated_folder(request.run.play) as folder:
         settings = prepared.settings
         recording = prepared.recording(folder, request.command) if settings.recording.enabled else None

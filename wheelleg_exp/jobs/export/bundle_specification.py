@@ -404,7 +404,7 @@ def bump_spec(
     for name, term in terms.items():
         if isinstance(term, JumpCommand) and (travel := travels.get(f"{COMMANDS}{term.velocity_command}")):
             return {
-                "on": term.bump is not None,
+                "on": term.trigger == "bump",
                 "jump": COMMANDS + name,
                 "velocity": travel["command"],
                 "columns": travel["columns"],

@@ -336,6 +336,11 @@ class BumpTrigger(Stateful):
         self._ahead = self.buffer("_ahead", zeros.clone(), fill=0.0)  # m to the place of the bump
         self._speed = self.buffer("_speed", zeros.clone(), fill=0.0)  # commanded, m/s
 
+    def start(self) -> None:
+        """Follow the user from the present command on."""
+        self.reset_rows(torch.arange(len(self._speed), device=self._speed.device))
+        self._speed.copy_(self._env.command_manager.get_command(self._name)[:, 0])
+
     def step(self, is_jumping: torch.Tensor) -> torch.Tensor:
         """Set the commanded speed, and return a mask of the robots that must start a jump, (N,)."""
         bump, phase, dt = self._bump, self.phase, self._env.step_dt
@@ -407,6 +412,7 @@ class JumpCommand(CommandTerm):
         share: present share of draws with a jump; can be changed during a run.
         heights: clearance that the next or present jump must reach, m, (N, 1), or (N, 0) without commanded heights.
         highest: largest height of ``heights``, m, 0 without heights.
+        trigger: what starts jumps at present; ``select_trigger`` changes it.
         bump_settings: settings of the trigger ``bump``, also if ``trigger`` is ``step``.
     """
 
@@ -427,9 +433,9 @@ class JumpCommand(CommandTerm):
         super().__init__(env, resampling_time_range, (), generator)
         self.window_s, self.share = window_s, rel_jumping_envs
         self.bump_settings = Bump(**{str(key): value for key, value in (bump or {}).items()})
-        bumps = BumpTrigger(env, velocity_command or "", self.bump_settings) if trigger == "bump" else None
-        self.bump = self.child("bump", bumps)
         self.velocity_command, self._ahead_s, self._rise = velocity_command, ahead_s, rise
+        self.trigger = self.setting("trigger", trigger)
+        self.bump = self.child("bump", self._bump_trigger() if trigger == "bump" else None)
         is_jumping_env = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
         self.is_jumping_env = self.buffer("is_jumping_env", is_jumping_env)
         width = 0 if heights is None else 1
@@ -456,6 +462,16 @@ class JumpCommand(CommandTerm):
         self.heights[env_ids] = self._lowest + (self.highest - self._lowest) * u
         self._command.index_fill_(0, env_ids, 0.0)
 
+    def _bump_trigger(self) -> BumpTrigger:
+        return BumpTrigger(self._env, self.velocity_command or "", self.bump_settings)
+
+    def select_trigger(self, trigger: Literal["step", "bump"]) -> None:
+        """Change what starts jumps; the commanded speed continues from its present value."""
+        if trigger == "bump":
+            self.bump = self.child("bump", self.bump or self._bump_trigger())
+            self.bump.start()
+        self.trigger = trigger
+
     def start(self, where: torch.Tensor) -> None:
         """Start a jump in the environments of the mask ``where``, (N,)."""
         self.is_jumping_env.logical_or_(where)
@@ -472,7 +488,7 @@ class JumpCommand(CommandTerm):
         return may_be_due(self.time_left, self.window_s, dt)
 
     def post_process(self) -> None:
-        if self.bump is not None:
+        if self.trigger == "bump" and self.bump is not None:
             self.start(self.bump.step(self._command[:, 0] > 0.0))
         elif self.velocity_command is not None:
             data, height_at = self._env.scene["robot"].data, self._env.scene.terrain.height_at
