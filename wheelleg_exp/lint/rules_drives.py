@@ -18,7 +18,7 @@ _RESERVE = 1.5  # A drive's effort limit must be at least 1.5 times the torque t
 _SAG = 0.1  # The robot's weight may cause a position error of at most 0.1 rad at a leg joint.
 _SAMPLES = 5.0  # The time constant of the robot's fall must be at least five control steps.
 _IMPLICIT = ("implicit", "implicitfast")
-MOST_DAMPING = 2.5  # kd·dt/I of an implicit position drive: robots with 3.0 and 5.5 lost contact, with 2.3 and 2.4 not
+MOST_DAMPING = 2.5  # kd·dt/I of an implicit position drive: robots with 3.1 and 5.5 lost contact, with 2.3 and 2.4 not
 
 
 def _groups(case: Case) -> dict[str, dict[str, Joint]]:

@@ -11,6 +11,7 @@ import torch
 from wheelleg_exp.constraints import NonNegative, NotEmpty, Positive
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.managers import Env, SceneEntityCfg, TermBase
+from wheelleg_exp.mdp.commands.command_ranges import command_of
 from wheelleg_exp.mdp.commands.pose_commands import WheeledBasePoseCommand
 from wheelleg_exp.mdp.commands.velocity_commands import integrated_travel_error
 from wheelleg_exp.mdp.root_motion import height_over_ground, roll_pitch
@@ -263,11 +264,7 @@ def travel_error(env: Env, command_name: str) -> torch.Tensor:
 
 def height_error(env: Env, command_name: str) -> torch.Tensor:
     """Measured minus commanded height of a ``WheeledBasePoseCommand``, m, and its integral, m·s. Not in Isaac Lab."""
-    term = env.command_manager.get_term(command_name)
-    if not isinstance(term, WheeledBasePoseCommand):
-        expected = "a command of wheelleg_exp.mdp.commands.WheeledBasePoseCommand"
-        message = f"the command '{command_name}' does not measure the height over the wheels"
-        raise ConfigError(message, key="command_name", expected=expected)
+    term = command_of(env, command_name, WheeledBasePoseCommand, "measure the height over the wheels")
     return torch.stack((term.height_error(), term.integrated_error), dim=1)
 
 

@@ -8,10 +8,22 @@ from typing import TypeVar
 
 import torch
 
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import CommandTerm, Env, bounds
 from wheelleg_exp.sim.class_members import alias_of
 
 AxisT = TypeVar("AxisT", bound=str)
+CommandT = TypeVar("CommandT", bound=CommandTerm)
+
+
+def command_of(env: Env, name: str, kind: type[CommandT], skill: str, key: str = "command_name") -> CommandT:
+    """Return the command term ``name``; raise ConfigError for one that is not a ``kind``, and thus lacks a skill."""
+    term = env.command_manager.get_term(name)
+    if not isinstance(term, kind):
+        message = f"the command '{name}' does not {skill}"
+        expected = f"a command of wheelleg_exp.mdp.commands.{kind.__name__}"
+        raise ConfigError(message, key=key, expected=expected)
+    return term
 
 
 class _Ranges:

@@ -11,7 +11,7 @@ import torch
 from wheelleg_exp.constraints import Broken, Interval, Positive, PositiveInterval, Share, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import CommandTerm, Env, SceneEntityCfg, member
-from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand, command_of
 from wheelleg_exp.mdp.commands.velocity_commands import UniformVelocityTravelCommand
 from wheelleg_exp.mdp.root_motion import HeightOverWheels, height_over_ground, roll_pitch
 from wheelleg_exp.sim import rotation
@@ -344,11 +344,8 @@ class BumpTrigger(Stateful):
     def step(self, is_jumping: torch.Tensor) -> torch.Tensor:
         """Set the commanded speed, and return a mask of the robots that must start a jump, (N,)."""
         bump, phase, dt = self._bump, self.phase, self._env.step_dt
-        travel = self._env.command_manager.get_term(self._name)
-        if not isinstance(travel, UniformVelocityTravelCommand):
-            message = f"the command '{self._name}' does not measure how far the wheels roll"
-            expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand, before this one"
-            raise ConfigError(message, key="velocity_command", expected=expected)
+        skill = "measure how far the wheels roll"
+        travel = command_of(self._env, self._name, UniformVelocityTravelCommand, skill, "velocity_command")
         asked, rolled = travel.asked[:, 0], travel.rolled
         way = asked.sign()
         phase.masked_fill_((way != self._way) | ((phase == _OVER) & ~is_jumping), _FOLLOW)

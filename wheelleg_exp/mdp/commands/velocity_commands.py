@@ -13,7 +13,7 @@ import torch
 from wheelleg_exp.constraints import Broken, Interval, Length, NonNegative, Positive, PositiveInterval, Share, relation
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.managers import Env, SceneEntityCfg, member
-from wheelleg_exp.mdp.commands.command_ranges import RangedCommand
+from wheelleg_exp.mdp.commands.command_ranges import RangedCommand, command_of
 from wheelleg_exp.mdp.root_motion import default_pose
 from wheelleg_exp.sim.class_members import alias_of
 from wheelleg_exp.sim.ids import fill_rows
@@ -267,9 +267,4 @@ def rolling_signs(model: mujoco.MjModel, robot: Any, joint_ids: torch.Tensor | S
 
 def integrated_travel_error(env: Env, command_name: str) -> torch.Tensor:
     """Return the integrated distance error (m) and heading error (rad) of a travel command, (N, 2)."""
-    term = env.command_manager.get_term(command_name)
-    if not isinstance(term, UniformVelocityTravelCommand):
-        expected = "a command of wheelleg_exp.mdp.commands.UniformVelocityTravelCommand"
-        message = f"the command '{command_name}' does not integrate its error"
-        raise ConfigError(message, key="command_name", expected=expected)
-    return term.travel_error
+    return command_of(env, command_name, UniformVelocityTravelCommand, "integrate its error").travel_error
