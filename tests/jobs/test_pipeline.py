@@ -294,6 +294,9 @@ def test_the_phases_of_a_first_drive_fit_together_and_its_protocols_have_its_met
     assert (pipeline.results, list(phases)) == ("first_drive", ["walk", "realism"])
     with pytest.raises(ConfigError, match="no_such"):
         train.composed_phases(["pipeline=first_drive", "pipeline.results=no_such"], [])
+    figures = ["pipeline.results=gate_walk", "pipeline.figures=['*/survival',walk/zero_drif]"]
+    with pytest.raises(ConfigError, match=r"pipeline\.figures: no metric of .* 'walk/zero_drif'.*'walk/zero_drift'\?"):
+        train.composed_phases(["pipeline=first_drive", *figures], [])
 
 
 def test_a_pipeline_in_a_project_with_robots_trains_another_robot_only_on_request(tmp_path):

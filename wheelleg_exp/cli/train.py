@@ -330,19 +330,17 @@ def composed_phases(words: Sequence[str], config_dirs: Sequence[Path]) -> tuple[
     ``words`` contains the config overrides of a training pipeline and of all trainings that the pipeline starts. A
     ConfigError from ``composed_phases`` lists all config mistakes that can be found before the first training starts.
     """
-    from wheelleg_exp.config.composing.compose import compose
     from wheelleg_exp.jobs.pipeline.run_pipeline import compose_phases, compose_pipeline
 
     pipeline = compose_pipeline([word for word in words if names_pipeline(word)], config_dirs)
-    if pipeline.results is not None:
-        compose([f"protocol={pipeline.results}"], primary="evaluate", config_dirs=config_dirs)
     overrides = [word for word in words if not names_pipeline(word)]
     with nullcontext() if pipeline.composed is None else pipeline.composed.placing():
         phases = compose_phases(pipeline.phases, overrides, config_dirs)
 
-        from wheelleg_exp.jobs.pipeline.run_pipeline import require_metrics
+        from wheelleg_exp.jobs.pipeline.run_pipeline import require_figures, require_metrics
 
         require_metrics(pipeline.phases, phases, config_dirs)
+        require_figures(pipeline, list(phases.values())[-1], config_dirs)
     return pipeline, phases
 
 

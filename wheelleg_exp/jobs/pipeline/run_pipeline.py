@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from fnmatch import filter as filter_names
 from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any, Literal
@@ -231,16 +232,11 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
     """Raise ConfigError if a phase's evaluation does not compute a metric for which the phase has a bound."""
     mistakes: list[ConfigError] = []
     for name, phase in phases.items():
-        gate, config = phase.gate, composed[name].config
+        gate = phase.gate
         if gate is None:
             continue
         try:
-            whole = compose_gate(gate, folders, config["env"])
-            with whole.placing():
-                read_section(Protocol, whole.config["protocol"], "protocol")
-            env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
-            robot = prepare_asset(config, composed[name].asset_roots).output
-            names = metric_names(env, robot, whole.config["protocol"])
+            names = _metric_names(gate, composed[name], folders)
         except ConfigError as error:
             mistakes += [name_phase(place_gate_error(part, name, gate), name) for part in parts(error)]
             continue
@@ -252,6 +248,30 @@ def require_metrics(phases: Mapping[str, Phase], composed: Mapping[str, Composed
             mistakes.append(ConfigError(message, key=key, expected=expected, nearest=nearest_name(metric, names)))
     if mistakes:
         raise_all(mistakes)
+
+
+def require_figures(pipeline: PipelineSettings, last: Composed, folders: Sequence[Path]) -> None:
+    """Raise ConfigError if the evaluation at the end of a pipeline has no metric for a pattern of ``figures``."""
+    if pipeline.results is None:
+        return
+    names = _metric_names(Gate(pipeline.results), last, folders)
+    for pattern in pipeline.tree.get("figures", []):
+        if not filter_names(names, pattern):
+            message = f"no metric of protocol '{pipeline.results}' matches '{pattern}'"
+            expected = f"metrics such as {', '.join(names[:3])}, or patterns such as '*/survival'"
+            raise ConfigError(
+                message, key=f"{PIPELINE}.figures", expected=expected, nearest=nearest_name(pattern, names)
+            )
+
+
+def _metric_names(gate: Gate, composed: Composed, folders: Sequence[Path]) -> list[str]:
+    """Return the names of the metrics of an evaluation of the policy that a phase trains."""
+    config = composed.config
+    whole = compose_gate(gate, folders, config["env"])
+    with whole.placing():
+        read_section(Protocol, whole.config["protocol"], "protocol")
+    env = {**config["env"], "sim": {**config["env"]["sim"], "engine": "mujoco", "device": "cpu"}}
+    return metric_names(env, prepare_asset(config, composed.asset_roots).output, whole.config["protocol"])
 
 
 class PipelineRunner:
