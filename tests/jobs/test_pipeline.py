@@ -18,6 +18,7 @@ import yaml
 from jobs.small import TINY, refused, succeed, wheelleg
 from wheelleg_exp.child_process import EventPipe
 from wheelleg_exp.cli import train
+from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.jobs.job_display import Display
@@ -301,13 +302,15 @@ def test_the_phases_of_a_first_drive_fit_together_and_its_protocols_have_its_met
 
 def test_a_pipeline_in_a_project_with_robots_trains_another_robot_only_on_request(tmp_path):
     (tmp_path / "robot").mkdir()
-    (tmp_path / "robot" / "mine.yaml").touch()
+    (tmp_path / "robot" / "mine.yaml").write_text("# @package env.robot\ndefaults: [article]\nprofile: bench")
     pipeline, phases = train.composed_phases(["pipeline=first_drive"], [])
     args = argparse.Namespace(overrides=["seed=1"], config_dirs=[tmp_path])
     with pytest.raises(ConfigError, match=r"phase 'walk' trains the robot 'article'.*expected robot=mine or robot=art"):
         train._require_own_robot(pipeline, phases, args)
     for changed in ({"overrides": ["robot=article"]}, {"config_dirs": []}):
         train._require_own_robot(pipeline, phases, argparse.Namespace(**{**vars(args), **changed}))
+    mine = compose(["task=walk", "robot=mine"], config_dirs=[tmp_path])  # selected, whatever its profile's name is
+    train._require_own_robot(pipeline, dict.fromkeys(phases, mine), args)
 
 
 def test_the_phases_of_the_stock_pipeline_fit_together_with_realism():

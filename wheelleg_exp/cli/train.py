@@ -317,8 +317,8 @@ def _require_own_robot(pipeline: PipelineSettings, phases: Mapping[str, Composed
     """Raise ConfigError if the user's project has robots, and a phase trains another one that nobody named."""
     own = sorted({file.stem for folder in args.config_dirs for file in (folder / "robot").glob("*.yaml")})
     for name, composed in phases.items():
-        robot, words = composed.config["env"]["robot"]["profile"], [*args.overrides, *pipeline.phases[name].overrides]
-        if own and robot not in own and not any(word.startswith("robot=") for word in words):
+        robot, words = composed.hydra.runtime.choices.get("robot"), [*args.overrides, *pipeline.phases[name].overrides]
+        if own and robot not in {None, *own} and not any(word.startswith("robot=") for word in words):
             message = f"phase '{name}' trains the robot '{robot}', which is not a robot of this project"
             expected = " or ".join(f"robot={one}" for one in [*own, robot])
             raise ConfigError(message, key="robot", expected=expected)
