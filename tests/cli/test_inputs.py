@@ -29,6 +29,13 @@ def test_a_wrong_override_is_reported_with_its_key_and_source_and_leaves_nothing
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("words", [["compose", "robot=physical"], ["compose", "--shapes"], ["explain", "env.sim.dt"]])
+def test_a_phase_of_a_pipeline_is_composed_without_the_pipeline(words):
+    said = refusal(*words, "pipeline=first_drive")
+    assert f"{words[1]}: the config of a pipeline has only the key 'pipeline'" in said
+    assert "the overrides of one phase, such as task=walk, instead of pipeline=" in said
+
+
 @pytest.mark.parametrize("command", ["zero-agent", "random-agent"])
 def test_agents_refuse_the_same_overrides(command, tmp_path):
     wrong = ["env.decimation=0", "env.actions.leg_pos.joint_names=[nothing]", "recording.env_ids=[99]"]

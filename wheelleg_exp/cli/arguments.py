@@ -91,12 +91,20 @@ def add_primary(parser: argparse.ArgumentParser) -> None:
 
 
 def primary_of(args: argparse.Namespace, key: str = "") -> str:
-    """Return the primary config: that of ``--primary``, otherwise the one that the overrides or the key belong to."""
+    """Return the primary config: that of ``--primary``, otherwise the one that the overrides or the key belong to.
+
+    Raise UsageError if words belong to a pipeline, and others to its trainings.
+    """
     from wheelleg_exp.terms.key_syntax import PIPELINE, names_pipeline
 
-    named = any(map(names_pipeline, [*args.overrides, key]))
+    words = [word for word in (*args.overrides, key) if word and not word.startswith("hydra")]
+    others = [word for word in words if not names_pipeline(word)]
+    if args.primary is None and others and len(others) < len(words):
+        message = f"the config of a pipeline has only the key '{PIPELINE}'; its phases are trainings of their own"
+        expected = f"the task and the overrides of one phase, such as task=walk, instead of {PIPELINE}=..."
+        raise UsageError(message, key=others[0], expected=expected)
     other = "play" if key.partition(".")[0] in ("drive", "play") else "train"
-    return args.primary or (PIPELINE if named else other)
+    return args.primary or (PIPELINE if words and not others else other)
 
 
 def add_config_dir(parser: argparse.ArgumentParser) -> None:

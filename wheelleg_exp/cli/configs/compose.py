@@ -42,7 +42,8 @@ def run(args: argparse.Namespace) -> int:
         expected = "--shapes without --package, --resolve and --provenance"
         message = "the option --shapes cannot be combined with other options"
         raise WheellegError(message, key="--shapes", expected=expected)
-    composed = compose(args.overrides, primary=primary_of(args), config_dirs=args.config_dirs)
+    primary = primary_of(args, "--shapes" if args.shapes else "")
+    composed = compose(args.overrides, primary=primary, config_dirs=args.config_dirs)
     if args.shapes:
         _print_shapes(composed, as_json=args.json)
         return EXIT_OK
