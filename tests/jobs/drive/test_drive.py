@@ -5,10 +5,12 @@ import shlex
 import socket
 import sys
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 import yaml
+from patience import wait_until
 
 from jobs.small import refused, succeed, wheelleg
 from wheelleg_exp.errors import WheellegError
@@ -93,6 +95,29 @@ def test_a_page_without_its_extra_names_the_package(run, monkeypatch, absent):
     said = refused("play", "latest", "--drive", "--port", "0", *RANGES)
     assert [word for word in (absent, 'pip install "wheelleg_exp[drive]"') if word not in said] == []
     assert not run.play.exists()
+
+
+@pytest.mark.train
+def test_the_address_and_the_ports_are_printed_before_the_drive(run, monkeypatch):
+    pytest.importorskip("mjviser", reason="the extra 'drive' is not installed")
+    from websockets.sync.client import connect
+
+    found = []
+
+    def paused(request, display, page, others):
+        start = json.loads(sys.stdout.getvalue())
+        with urlopen(start["url"]) as answer:
+            found.append(answer.status)
+        with connect(f"ws://127.0.0.1:{start['keys_port']}", origin=f"http://localhost:{start['port']}") as keys:
+            keys.send('{"press": "pause"}')
+            found.append(wait_until(lambda: page._hands.controls.paused))
+        found.append(start["run"])
+        return []
+
+    monkeypatch.setattr("wheelleg_exp.jobs.drive.run_drive.drive", paused)
+    said = succeed("play", "latest", "--drive", "--port", "0", "--json")
+    assert found == [200, True, str(run.path)]
+    assert json.loads(said.out.split("\n", 1)[1]) == {"run": str(run.path), "drives": []}
 
 
 @pytest.mark.train

@@ -162,14 +162,14 @@ class InputServer:
         limits: Any = {"origins": list(origins), "max_size": _MAX_MESSAGE, "compression": None}
         quiet = logging.Logger("drive", logging.CRITICAL)  # A wrong message or request must not print a traceback.
         self._server = serve(self._listen, LOOPBACK, port, logger=quiet, **limits)
+        self.port: int = self._server.socket.getsockname()[1]
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
 
     def javascript(self, title: str, help: str) -> str:
         """Return the JavaScript that sends key and gamepad input, and shows the page's title and the HTML ``help``."""
-        port = self._server.socket.getsockname()[1]
         axes = self.controls.axes
         settings = {
-            "url": f"ws://{LOOPBACK}:{port}/",
+            "url": f"ws://{LOOPBACK}:{self.port}/",
             "keys": {code: pair for code, pair in KEYS.items() if pair[0] in axes},
             "presses": KEY_ACTIONS,
             "sticks": {index: pair for index, pair in _STICKS.items() if pair[0] in axes},
@@ -288,6 +288,11 @@ class DrivePage:
     def url(self) -> str:
         """The address for the browser."""
         return f"http://{LOOPBACK}:{self._server.get_port()}/"
+
+    @property
+    def ports(self) -> tuple[int, int]:
+        """The TCP ports of the page, and of its keys and gamepads."""
+        return self._server.get_port(), self._hands.port
 
     def open(self, session: DriveSession, choice: Choose, options: schema.Drive, checkpoints: Sequence[Path]) -> str:
         """Show the robot and its controls, and return the page's URL."""
