@@ -5,6 +5,7 @@ import os
 import shutil
 import sys
 import sysconfig
+import tempfile
 from pathlib import Path
 
 import nox
@@ -112,11 +113,28 @@ def physx(session: nox.Session) -> None:
     _test_on_top(session, "tests/physx")
 
 
+@nox.session(venv_backend="virtualenv")
+def notebooks(session: nox.Session) -> None:
+    """Execute copies of the notebooks in docs/examples, in a separate environment on top of this one."""
+    _install_on_top(session, "docs/examples")
+    folder = tempfile.mkdtemp()  # outside the repository, where `wheelleg new` writes no project
+    for path in Path("docs/examples").glob("*.ipynb"):
+        copy = Path(shutil.copy(path, folder))
+        session.run("jupyter", "execute", "--inplace", str(copy))
+        if "wheelleg: error" in copy.read_text(encoding="utf-8"):  # The failure of a command stops no notebook.
+            session.error(f"a command failed: see {copy}")
+        session.log(f"with outputs: {copy}")
+
+
 def _test_on_top(session: nox.Session, tests: str) -> None:
+    _install_on_top(session, tests)
+    session.run("python", "-m", "pytest", "-p", "no:xdist", tests, *session.posargs)
+
+
+def _install_on_top(session: nox.Session, folder: str) -> None:
     here, own = sysconfig.get_path("purelib"), session.run("python", "-c", _PURELIB, silent=True).strip()
     Path(own, "_wheelleg.pth").write_text(f"import site; site.addsitedir({here!r})\n")
-    session.install("-r", f"{tests}/requirements.txt")
-    session.run("python", "-m", "pytest", "-p", "no:xdist", tests, *session.posargs)
+    session.install("-r", f"{folder}/requirements.txt")
 
 
 @nox.session(venv_backend="virtualenv")

@@ -38,6 +38,7 @@ def commands_of(text: str) -> list[str]:
 
 COMMANDS = commands_of(TEXT)
 SKILLS = {path.stem: commands_of(path.read_text(encoding="utf-8")) for path in sorted(DOCS.glob("skills/*.md"))}
+NOTEBOOK = (DOCS / "examples" / "first_policy.ipynb").read_text(encoding="utf-8")
 STAND = compose(["task=stand"]).config["env"]
 
 
@@ -140,6 +141,20 @@ def test_a_task_changes_its_agent(folder):
     config = composed("task=patient", folder=folder / "my_configs").config
     assert config["agent"]["max_iterations"] == 300
     assert config["recording"]["enabled"] is False
+
+
+def test_the_notebook_is_stored_without_outputs_and_its_commands_are_valid(capsys):
+    cells = [cell for cell in json.loads(NOTEBOOK)["cells"] if cell["cell_type"] == "code"]
+    assert [cell["outputs"] for cell in cells] == [[]] * len(cells)
+    text = "".join("".join([*cell["source"], "\n"]) for cell in cells)
+    values = dict(re.findall(r'^([A-Za-z]+) = "?([\w.]+)"?$', text, re.MULTILINE), base="latest", changed="latest")
+    lines = [line.format(**values) for line in re.findall("^%(wheelleg .+)$", text, re.MULTILINE)]
+    for line in lines:
+        words = shlex.split(line.replace("robot=first_policy", "robot=article"))
+        if words[1] in SIMULATING:
+            assert main(checkable(shlex.join(words)) or []) == 0, capsys.readouterr().err
+        parser_of(words[1]).parse_intermixed_args(words[2:])
+    assert [shlex.split(line)[1] for line in lines].count("train") == 2
 
 
 @pytest.fixture(scope="module")
