@@ -50,7 +50,7 @@ def test_a_failed_job_is_status_3_after_all_others(tmp_path):
     ends = {"fail": "failed", "die": "failed", "killed": "failed", "finish": "finished"}
     assert [row[:3] for row in rows] == [[str(n), f"run.name={what}", ends[what]] for n, what in enumerate(ends, 1)]
     assert rows[3][-1] == "runs/stand/finish"
-    for words in ("1 of 4 jobs finished: runs/sweeps/", "retry: ", " train run.name=fail seed=3"):
+    for words in ("1 of 4 jobs finished: runs/sweeps/", "retry: ", " resume --sweep runs/sweeps/"):
         assert words in said.out
     assert "job 1 run.name=fail failed: gone to NaN" in said.err
 

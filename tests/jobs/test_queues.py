@@ -7,11 +7,12 @@ import os
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
 
-from jobs.small import SMALL, trained_once
+from jobs.small import SMALL, manifest, only_run, succeed, trained_once, wheelleg
 from jobs.sweeps import STAND_IN, Seen
 from jobs.test_sweep import _index as index
 from wheelleg_exp.config.composing.compose import compose
@@ -59,7 +60,7 @@ class Threads(Queue):
 
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch, request):
-    if "launcher" not in request.fixturenames:
+    if not request.node.get_closest_marker("train"):
         monkeypatch.setattr(run_sweep, "job_program", lambda path: (sys.executable, "-S", "-c", STAND_IN))
 
 
@@ -126,13 +127,40 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     events = tmp_path / run_sweep.EVENTS
     while not events.exists() or '"run"' not in events.read_text():
         thread.join(0.02)
-    assert job.checkpoint(str(tmp_path)) is None
+    again = job.checkpoint(str(tmp_path))
     thread.join()
-    told = [json.loads(line) for line in (tmp_path / run_sweep.EVENTS).read_text().splitlines()]
-    assert told[0]["event"] == "began"
-    assert {event["status"] for event in told if event["event"] == "ended"} == {"interrupted"}
-    with pytest.raises(RuntimeError, match="a job runs only once"):
-        QueueWorker()(str(tmp_path))
+    told = [json.loads(line)["event"] for line in (tmp_path / run_sweep.EVENTS).read_text().splitlines()]
+    assert (told, again.args) == (["began", "run", "preempted"], (str(tmp_path),))
+
+
+def _preempt(count: int, pids: set[int]) -> None:
+    """Send submitit's signal to ``count`` processes of the only job of a sweep, each after a training iteration."""
+    while len(pids) < count:
+        time.sleep(0.05)
+        for file in Path("runs/sweeps").glob("*/jobs/1/events.jsonl"):
+            began = file.read_text().rpartition('{"event": "began"')[2].splitlines()
+            pid = json.loads('{"event": "began"' + began[0])["pid"] if began else 0
+            if pid not in pids and any('"event": "iteration"' in line for line in began):
+                pids.add(pid)
+                os.kill(pid, signal.SIGUSR2)
+
+
+@pytest.mark.train
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.full)])
+def test_a_preempted_job_is_handed_in_again_and_ends_as_the_uninterrupted_run(count):
+    pytest.importorskip("submitit")
+    words, pids = [*SMALL, f"agent.max_iterations={10 * count}", "agent.save_interval=1000"], set[int]()
+    succeed("train", *words, "run.root=alone")
+    threading.Thread(target=_preempt, args=(count, pids), daemon=True).start()
+    settings = ["hydra/launcher=submitit_local", "hydra.launcher.timeout_min=60"]
+    said = wheelleg("train", "-m", *words, *settings)
+    while said.status and len(pids) < count:  # The local executor runs a job at most six times.
+        said = wheelleg("resume", "--sweep", "latest")
+    assert (said.status, len(pids)) == (0, count), said.out + said.err
+    last = f"model_{10 * count - 1}.pt"
+    assert (only_run(Path("runs")) / last).read_bytes() == (only_run(Path("alone")) / last).read_bytes()
+    assert len(manifest(only_run(Path("runs")))["resumes"]) == count
 
 
 def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypatch):
@@ -140,7 +168,8 @@ def test_variables_of_numbers_are_those_of_the_sweeps_machine(tmp_path, monkeypa
     monkeypatch.setattr(run_sweep, "Child", lambda program, line, environ, folder: made.append(environ) or 1 / 0)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")  # Ray sets this variable in its workers.
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
-    facts = {"line": "", "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
+    line = JobRequest("train", [], [], []).line().decode()
+    facts = {"line": line, "path": [], "working_directory": ".", "variables": {"MKL_CBWR": "AVX2,STRICT"}}
     (tmp_path / run_sweep.REQUEST).write_text(json.dumps(facts))
     with pytest.raises(ZeroDivisionError):
         QueueWorker()(str(tmp_path))

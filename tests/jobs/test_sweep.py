@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,18 +12,20 @@ from pathlib import Path
 
 import joblib  # noqa: F401 - importing joblib sets KMP_INIT_AT_FORK, which environment.txt contains
 import pytest
+from omegaconf import OmegaConf
 from patience import PATIENCE_S, wait_until
 
 from jobs.small import ITERATIONS, SMALL, cache_of, lines, manifest, only_run, succeed, trained_once, without_times
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.child_process import EventPipe, run_job
 from wheelleg_exp.config.composing.compose import compose
-from wheelleg_exp.config.composing.compose_sweep import digest_of
+from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
 from wheelleg_exp.jobs import run_sweep as runner_module
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.run.run_list import list_runs
 from wheelleg_exp.stop_request import StopRequest
 
@@ -244,3 +247,19 @@ def test_an_interrupt_stops_the_sweep_and_leaves_the_trained_runs(tmp_path, tmp_
     assert directory.manifest().status == "interrupted"
     assert directory.latest_checkpoint().name == f"model_{len(lines(run)) - 1}.pt"
     assert b"0 of 2 jobs finished" in out
+
+
+@pytest.mark.train
+def test_a_resumed_sweep_resumes_unfinished_runs_and_leaves_finished_ones(run, tmp_path):
+    half = shutil.copytree(run.path, run.path.with_name(f"{run.id}-2"))
+    (half / "model_2.pt").unlink()
+    (half / "manifest.json").write_text(json.dumps({**manifest(half), "status": "interrupted"}))
+    facts = {"name": "basic", "at_once": 1}
+    index = SweepIndex.create(tmp_path / "runs", command=[], launcher=facts, jobs=[([], []), ([], [])])
+    (index.folder / "multirun.yaml").write_text(OmegaConf.to_yaml(compose_sweep(["seed=1,2"]).multirun))
+    index.update(1, status="running", run=index.relative(run.path))  # The process of the sweep was killed.
+    index.update(2, status="interrupted", run=index.relative(half))
+    said = succeed("resume", "--sweep", "latest")
+    assert "jobs to resume: 1 of 2" in said.err
+    assert [job["status"] for job in SweepIndex.load(index.folder).jobs] == ["finished", "finished"]
+    assert (half / "model_2.pt").read_bytes() == (run.path / "model_2.pt").read_bytes()

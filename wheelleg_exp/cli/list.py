@@ -182,13 +182,7 @@ def _runs(args: argparse.Namespace) -> Listed:
     folder = _runs_folder(args.root)
     every = run_list.list_runs(folder)
     if args.sweep is not None:
-        index = run_list.find_sweep(args.sweep, folder)
-        if index is None:
-            known = [sweep.id for sweep in run_list.list_sweeps(folder)]
-            expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
-            nearest = nearest_name(args.sweep, known)
-            raise WheellegError(f"there is no sweep '{args.sweep}'", key="--sweep", expected=expected, nearest=nearest)
-        members = run_list.runs_of(index)
+        members = run_list.runs_of(run_list.open_sweep(args.sweep, folder))
         every = [run for run in every if run.path.resolve() in members]
     found = run_list.filter_runs(every, args.filter)
     if args.sort is not None:

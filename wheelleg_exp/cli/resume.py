@@ -1,4 +1,4 @@
-"""``wheelleg resume RUN``."""
+"""``wheelleg resume RUN`` and ``wheelleg resume --sweep SWEEP``."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     offer("run to resume", parser.add_argument("run", metavar="RUN", help=text))
     text = "changes for the remaining training: agent.max_iterations=200 (in total), env.rewards.alive.weight=2, ..."
     offer("override", parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help=text))
+    text = "RUN is the folder or id of a sweep, or 'latest': resume its unfinished runs, and train its missing runs"
+    parser.add_argument("--sweep", action="store_true", help=text)
     add_root(parser)
     add_config_dir(parser)
     add_json(parser)
@@ -34,6 +36,11 @@ def run(args: argparse.Namespace) -> int:
     from wheelleg_exp.stop_request import StopRequest
 
     with StopRequest() as stop:
+        if args.sweep:
+            from wheelleg_exp.cli.train import resume_sweep
+
+            require_alone("--sweep")
+            return resume_sweep(args, stop)
         return together(_resume, _follow, args, stop) if world_size() > 1 else _resume(args, stop)
 
 

@@ -25,7 +25,7 @@ from wheelleg_exp.errors import (
     SimulationFailure,
     WheellegError,
 )
-from wheelleg_exp.files import read_json, write_text
+from wheelleg_exp.files import read_json, read_yaml, write_text
 from wheelleg_exp.packages import with_current
 from wheelleg_exp.terms.key_syntax import names_pipeline
 from wheelleg_exp.torchrun import require_alone, world_size
@@ -35,10 +35,12 @@ if TYPE_CHECKING:
     from wheelleg_exp.config.composing.compose_sweep import Sweep
     from wheelleg_exp.jobs.job_display import Display
     from wheelleg_exp.jobs.pipeline.run_pipeline import PipelineSettings
+    from wheelleg_exp.jobs.run_sweep import SweepDisplay
     from wheelleg_exp.jobs.train.prepare_training import Training
+    from wheelleg_exp.jobs.training_job import JobRequest
     from wheelleg_exp.rl.ranks import Ranks
     from wheelleg_exp.run.run_directory import RunDirectory
-    from wheelleg_exp.run.run_index import PipelineIndex, SweepIndex
+    from wheelleg_exp.run.run_index import PipelineIndex, SweepIndex, SweepStatus
     from wheelleg_exp.stop_request import StopRequest
 
 
@@ -166,7 +168,6 @@ def print_trained(directory: RunDirectory, results: dict[str, object] | None, *,
     return EXIT_OK
 
 
-_MOST_SHOWN = 3
 _STATUS = {"finished": EXIT_OK, "failed": EXIT_FAILED, "interrupted": EXIT_INTERRUPTED}
 
 
@@ -186,15 +187,10 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
         from omegaconf import OmegaConf
 
-        from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
         from wheelleg_exp.jobs.training_job import JobRequest
         from wheelleg_exp.run.run_index import MULTIRUN_NAME, SweepIndex
 
-        # Omit the current project's config folder from ``--config-dir``, because commands always search this folder.
-        own: list[Path] = []
-        with suppress(ConfigError):
-            own = with_current([])
-        at_once, named = _at_once(sweep), [folder for folder in args.config_dirs if folder not in own]
+        at_once, named = _at_once(sweep), _named(args.config_dirs)
         folders = [str(folder) for folder in args.config_dirs]
         root, facts = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
         entries = [(job.overrides, job.swept) for job in sweep.jobs]
@@ -209,18 +205,80 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
             JobRequest("train", list(job.overrides), folders, _alone(job.overrides, named), job.digest)
             for job in sweep.jobs
         ]
-        try:
-            launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
-        except WheellegError:
-            index.finish("failed")
-            raise
-        status = SweepRunner(index, requests, at_once, display, stop, launcher).run()
+        status = _run_sweep(index, sweep, requests, display, stop)
+    return _print_sweep(args, index, status)
+
+
+def _run_sweep(
+    index: SweepIndex, sweep: Sweep, requests: Sequence[JobRequest], display: SweepDisplay, stop: StopRequest
+) -> SweepStatus:
+    """Run the unfinished jobs of a sweep's index with the sweep's launcher."""
+    from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
+
+    try:
+        launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
+    except WheellegError:
+        index.finish("failed")
+        raise
+    return SweepRunner(index, requests, index.data["launcher"]["at_once"], display, stop, launcher).run()
+
+
+def _print_sweep(args: argparse.Namespace, index: SweepIndex, status: SweepStatus) -> int:
     if args.json:
         jobs = [{**job, "run": None if job["run"] is None else str(index.run_of(job))} for job in index.jobs]
         print_json({"sweep": str(index.folder), **index.data, "jobs": jobs})
     else:
-        _print_report(index, named)
+        _print_report(index, _named(args.config_dirs))
     return _STATUS[status]
+
+
+def resume_sweep(args: argparse.Namespace, stop: StopRequest) -> int:
+    """Resume the unfinished runs of a sweep, train the jobs without a run, and print the results of all jobs."""
+    from wheelleg_exp.run.run_list import open_sweep
+
+    index = open_sweep(args.run, Path(args.root))
+
+    from omegaconf import DictConfig
+
+    from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
+    from wheelleg_exp.config.composing.compose_sweep import Sweep, digest_of
+    from wheelleg_exp.jobs.run_sweep import JOBS, run_of_queued
+    from wheelleg_exp.jobs.training_job import JobRequest, resume_request
+    from wheelleg_exp.run.file_inventory import MANIFEST_NAME
+    from wheelleg_exp.run.manifest import Manifest
+    from wheelleg_exp.run.run_index import MULTIRUN_NAME
+
+    folders, requests = [str(folder) for folder in args.config_dirs], []
+    for job in index.unfinished():
+        # A job can have started or finished after the process of the sweep ended.
+        run = index.run_of(job) or run_of_queued(index.folder / JOBS / str(job["number"]))
+        if run is None or not (run / MANIFEST_NAME).is_file():
+            words = job["overrides"]
+            digest = digest_of(compose_valid(words, config_dirs=args.config_dirs))
+            requests.append(JobRequest("train", words, folders, _alone(words, _named(args.config_dirs)), digest))
+            continue
+        manifest, job["run"] = Manifest.load(run), index.relative(run)
+        if manifest.status == "finished":
+            job["status"], job["results"] = "finished", manifest.results
+        else:
+            requests.append(resume_request(run, folders, args.overrides))
+    index.restart()
+    launcher = index.data["launcher"]
+    multirun = DictConfig(read_yaml(index.folder / MULTIRUN_NAME))
+    sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
+    with ConsoleSweepDisplay() as display:
+        display.say(f"jobs to resume: {len(requests)} of {len(index.jobs)}; index: {shown(index.path)}")
+        status = _run_sweep(index, sweep, requests, display, stop)
+    return _print_sweep(args, index, status)
+
+
+def _named(config_dirs: Sequence[Path]) -> list[Path]:
+    """Return the folders without the current project's config folder, because commands always search this folder."""
+    own: list[Path] = []
+    with suppress(ConfigError):
+        own = with_current([])
+    return [folder for folder in config_dirs if folder not in own]
 
 
 def _at_once(sweep: Sweep) -> int:
@@ -279,13 +337,11 @@ def _print_report(index: SweepIndex, config_dirs: Sequence[Path]) -> None:
         following.append([tool("tensorboard"), "--logdir", os.path.commonpath([Path(run).parent for run in runs])])
         following += [[program, "diff", *runs[:2]]] if len(runs) > 1 else []
         following.append([program, "play", runs[0]])
-    left = [job for job in index.jobs if job["status"] != "finished"]
-    again = [shlex.join([program, *_alone(job["overrides"], config_dirs)[1:]]) for job in left[:_MOST_SHOWN]]
-    if len(left) > len(again):
-        again.append(f"and {len(left) - len(again)} more, whose overrides are in the index")
-    for label, lines in (("next:", list(map(shlex.join, following))), ("retry:", again)):
-        for number, line in enumerate(lines):
-            print(f"{'' if number else label:<6} {line}")
+    for number, words in enumerate(following):
+        print(f"{'' if number else 'next:':<6} {shlex.join(words)}")
+    if index.unfinished():
+        folders = [word for folder in config_dirs for word in ("--config-dir", str(folder))]
+        print("retry:", shlex.join([program, "resume", "--sweep", shown(index.folder), *folders]))
 
 
 def train_pipeline(args: argparse.Namespace, stop: StopRequest) -> int:

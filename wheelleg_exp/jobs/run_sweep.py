@@ -23,7 +23,7 @@ from wheelleg_exp.child_process import Child, Event, listen, parse_event
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
 from wheelleg_exp.files import while_running, write_json, write_text
-from wheelleg_exp.jobs.training_job import JobRequest, job_program
+from wheelleg_exp.jobs.training_job import JobRequest, job_program, resume_request
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.environment import replay_environ, variables
 from wheelleg_exp.run.manifest import Manifest
@@ -33,13 +33,14 @@ from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     import submitit
+    from submitit.helpers import DelayedSubmission
 
 _LISTEN_S, _KILL_S = 0.2, 10.0
 
 
 REQUEST, EVENTS, STOP = "request.json", "events.jsonl", "stop"
 SOON, NOW = "soon", "now"  # the content of STOP
-_FOLDER = "jobs"
+JOBS = "jobs"
 _WAIT_S = 0.3
 _PATIENCE_S = 90.0  # Wait less than the 120 s after which Slurm kills a job that was asked to stop.
 # Save the import path of this process before submitit or Ray changes ``sys.path``.
@@ -54,29 +55,42 @@ class QueueWorker:
 
     _child: Child | None = None
     _relayed: Future[str] | None = None
+    _preempted = False
 
     def __call__(self, folder: str) -> str:
-        """Run the job that the file ``request.json`` in ``folder`` describes, and return the job's status."""
+        """Run the job that the file ``request.json`` in ``folder`` describes, and return the job's status.
+
+        If the queue runs the job again, resume the job's run from its last checkpoint.
+        """
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
-        if (place / EVENTS).exists():
-            raise RuntimeError("the job has already run, and a job runs only once")
+        order = JobRequest(**json.loads(request["line"]))
+        if (run := run_of_queued(place)) is not None:
+            order = resume_request(run, order.config_dirs)
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
         path = request["path"] if same else sys.path  # The submitting machine may import from other folders.
-        line, here = request["line"].encode() + b"\n", Path(request["working_directory"])
-        self._child = Child(job_program(path), line, replay_environ(request["variables"]), here)
+        here = Path(request["working_directory"])
+        self._child = Child(job_program(path), order.line(), replay_environ(request["variables"]), here)
         with ThreadPoolExecutor(1) as reader:  # Signals interrupt the main thread, so a second thread reads events.
             self._relayed = reader.submit(self._relay, self._child, place)
             return self._relayed.result()
 
-    def checkpoint(self, folder: str) -> None:
-        """Stop the job after a checkpoint; submitit calls this method at the time limit of the job."""
-        del folder
+    def checkpoint(self, folder: str) -> DelayedSubmission | None:
+        """Stop the job after a checkpoint, and return what the queue must run again; None if the job has ended.
+
+        submitit calls this method at a preemption and at the time limit of the job.
+        """
+        from submitit.helpers import DelayedSubmission
+
+        self._preempted = True
         if self._child is not None and self._relayed is not None:
             self._child.ask_to_stop()
             if not wait([self._relayed], _PATIENCE_S).done:
                 self._child.kill()
+            if self._relayed.result() != "interrupted":
+                return None
+        return DelayedSubmission(QueueWorker(), folder)
 
     def _relay(self, child: Child, place: Path) -> str:
         """Copy the events of the job's process to ``events.jsonl``, and pass stop requests to the process."""
@@ -93,6 +107,8 @@ class QueueWorker:
         message = f"its process on {socket.gethostname()} {child.describe_death()}"
         ended = child.ended or {"event": "ended", "status": "failed", "error": {"type": "error", "message": message}}
         child.close()
+        if self._preempted and (child.ended is None or ended["status"] == "interrupted"):
+            ended = {"event": "preempted", "status": "interrupted"}
         self._write(place, ended)
         return str(ended["status"])
 
@@ -105,6 +121,14 @@ class QueueWorker:
             file.write(json.dumps(event) + "\n")
 
 
+def run_of_queued(folder: Path) -> Path | None:
+    """Return the run directory of a queued job; None if the job has not created its run directory."""
+    events: list[Event | None] = []
+    with suppress(OSError):
+        events = [parse_event(line) for line in (folder / EVENTS).read_text(errors="replace").splitlines()]
+    return next((Path(event["path"]) for event in events if event and event["event"] == "run"), None)
+
+
 class QueuedJob:
     """A job in a queue, whose ``QueueWorker`` writes the file that ``events`` reads; ``ended`` is its last event."""
 
@@ -115,6 +139,8 @@ class QueuedJob:
         self._read, self._began, self._stopped = 0, False, False
         path = [str(Path(entry).absolute()) for entry in _PATH]
         facts = {"line": request.line().decode().rstrip("\n"), "path": path, "working_directory": str(Path.cwd())}
+        for name in (EVENTS, STOP):  # An earlier process of a resumed sweep has written these files.
+            (self.folder / name).unlink(missing_ok=True)
         write_json(self.folder / REQUEST, {**facts, "variables": variables()})
 
     def events(self) -> Iterator[Event]:
@@ -134,7 +160,7 @@ class QueuedJob:
             if event["event"] == "ended":
                 self.ended = event
                 continue
-            self._began = self._began or event["event"] == "began"
+            self._began = event["event"] != "preempted" and (self._began or event["event"] == "began")
             yield event
 
     def over(self) -> bool:
@@ -195,7 +221,7 @@ class Queue:
     queued = True
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder / _FOLDER
+        self._folder = folder / JOBS
         self._pending: list[QueuedJob] = []
 
     def start(self, number: int, request: JobRequest) -> Job:
@@ -381,7 +407,7 @@ class SweepRunner:
         launcher: LocalLauncher | Queue | None = None,
     ) -> None:
         self._index = index
-        self._waiting = deque(zip(index.jobs, requests, strict=True))
+        self._waiting = deque(zip(index.unfinished(), requests, strict=True))
         self._at_once = at_once
         if at_once > 1:
             share_cores()
@@ -440,6 +466,9 @@ class SweepRunner:
             if kind == "began":
                 self._index.update(job["number"], status="running", started=utc_text(utc_now()))
                 self._display.started(job)
+            elif kind == "preempted":
+                self._index.update(job["number"], status="waiting")
+                self._display.note(job, "preempted; it waits in the queue and will resume")
             elif kind == "run":
                 self._index.update(job["number"], run=self._index.relative(Path(event["path"])))
             elif kind == "iteration":

@@ -44,6 +44,12 @@ class JobRequest:
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
+def resume_request(run: Path, config_dirs: list[str], overrides: Sequence[str] = ()) -> JobRequest:
+    """Return the request to resume the run in a run directory."""
+    command = ["wheelleg", "resume", str(run), *overrides]
+    return JobRequest("resume", list(overrides), config_dirs, command, run=str(run))
+
+
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:
     """Return the command that starts a job's child process with the import path ``path`` (default: ``sys.path``)."""
     return (sys.executable, "-P", "-c", _BOOT, os.pathsep.join(sys.path if path is None else path))

@@ -202,6 +202,16 @@ class SweepIndex(_RunIndex):
         found: list[JobEntry] = self.data["jobs"]
         return found
 
+    def unfinished(self) -> list[JobEntry]:
+        return [job for job in self.jobs if job["status"] != "finished"]
+
+    def restart(self) -> None:
+        """Record that the running process resumes the sweep, whose unfinished jobs wait again."""
+        for job in self.unfinished():
+            job["status"], job["ended"], job["error"] = "waiting", None, None
+        self.data |= {"status": "running", "ended": None, "process": this_process()}
+        self.write()
+
     def finish(self, status: SweepStatus) -> None:
         """Record how the sweep ended; a job without a recorded end counts as interrupted."""
         for job in self.jobs:

@@ -272,6 +272,17 @@ def find_sweep(name: str, root: Path) -> SweepIndex | None:
     return None if folder is None else SweepIndex.load(folder)
 
 
+def open_sweep(name: str, root: Path) -> SweepIndex:
+    """Find a sweep like ``find_sweep``; raise WheellegError if the sweep does not exist."""
+    index = find_sweep(name, root)
+    if index is None:
+        known = [sweep.id for sweep in list_sweeps(root)]
+        expected = "'latest', or one of " + (", ".join(known[:5]) or "(there is none yet)")
+        nearest = nearest_name(name, known)
+        raise WheellegError(f"there is no sweep '{name}'", key="--sweep", expected=expected, nearest=nearest)
+    return index
+
+
 def filter_runs(runs: Sequence[RunSummary], conditions: Sequence[str]) -> list[RunSummary]:
     """Return the runs that meet every condition of ``--filter``.
 

@@ -1,34 +1,78 @@
-"""Search for values of a task's keys with Optuna's sweeper: each trial is a training, and ends as an ordinary run."""
+"""Search for values of a task's keys with Optuna: weak trials stop early, and the other trials resume exactly."""
 
+import argparse
 import json
 import subprocess
 import sys
 
-import hydra
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+import optuna
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import IntervalSweep, Override
 
-from wheelleg_exp.paths import configs_dir
-
-FIGURE = "Train/mean_episode_length"  # of the results of a run; `Train/mean_reward` changes with the weights themselves
-OWN = ["hydra/sweeper=optuna", "hydra.sweeper.direction=maximize", "hydra.sweeper.n_jobs=1"]
+DONE = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED, optuna.trial.TrialState.FAIL)
 
 
-@hydra.main(config_path=str(configs_dir()), config_name="train", version_base="1.3")
-def trial(_: DictConfig) -> float:
-    """Train with the trial's overrides in a process of its own, and return how well it went."""
-    overrides = [word for word in HydraConfig.get().overrides.task if not word.startswith("hydra")]
-    command = [sys.executable, "-m", "wheelleg_exp", "train", *overrides, "--json"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+def wheelleg(*words: str) -> dict:
+    """Run a command of wheelleg, and return its JSON document."""
+    done = subprocess.run([sys.executable, "-m", "wheelleg_exp", *words, "--json"], stdout=subprocess.PIPE, text=True)
     if done.returncode == 130:
         raise KeyboardInterrupt
-    if done.returncode:  # a trial that fails is the worst, and the search goes on
-        return 0.0
-    told = json.loads(done.stdout)
-    sys.stderr.write(f"{told['results'][FIGURE]} {told['run']} {' '.join(overrides)}\n")
-    return float(told["results"][FIGURE])
+    if done.returncode:  # The search continues with the next trial.
+        raise RuntimeError(f"exit status {done.returncode}: wheelleg {' '.join(words)}")
+    return json.loads(done.stdout)
+
+
+def suggest(trial: optuna.Trial, override: Override) -> str:
+    """Return an override with a single value; Optuna selects the value if the override is a sweep."""
+    key, value = override.get_key_element(), override.value()
+    if isinstance(value, IntervalSweep):
+        kind = trial.suggest_int if isinstance(value.start, int) else trial.suggest_float
+        return f"{key}={kind(key, value.start, value.end, log='log' in value.tags)}"
+    if override.is_sweep_override():
+        return f"{key}={trial.suggest_categorical(key, list(override.sweep_iterator()))}"
+    return str(override.input_line)
+
+
+def main() -> None:
+    """Run the trials that are missing in the study's file, and print the best trial."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("overrides", nargs="+", help="of `wheelleg train`; KEY=interval(A,B), choice(A,B), range(A,B)")
+    parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--iterations", type=int, default=[10, 30, 90], nargs="+", help="in total; equal factors")
+    parser.add_argument("--figure", default="Train/mean_episode_length", help="one of the results of a run")
+    parser.add_argument("--direction", default="maximize", choices=("maximize", "minimize"))
+    parser.add_argument("--study", default="search.log", help="several processes with the same file share the trials")
+    args = parser.parse_args()
+    overrides = OverridesParser.create().parse_overrides(args.overrides)
+    first, *later = args.iterations
+
+    def objective(trial: optuna.Trial) -> float:
+        words = ["train", *(suggest(trial, override) for override in overrides)]
+        for total in args.iterations:
+            told = wheelleg(*words, f"agent.max_iterations={total}")
+            words, value = ["resume", told["run"]], float(told["results"][args.figure])
+            trial.set_user_attr("run", told["run"])
+            trial.report(value, total)
+            if total < args.iterations[-1] and trial.should_prune():
+                raise optuna.TrialPruned
+        return value
+
+    listed = not any(isinstance(override.value(), IntervalSweep) for override in overrides)
+    study = optuna.create_study(
+        study_name="search",
+        load_if_exists=True,
+        direction=args.direction,
+        storage=optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(args.study)),
+        sampler=optuna.samplers.BruteForceSampler(seed=1) if listed else optuna.samplers.TPESampler(seed=1),
+        pruner=optuna.pruners.SuccessiveHalvingPruner(first, later[0] // first if later else 2),
+    )
+    enough = optuna.study.MaxTrialsCallback(args.trials, states=DONE)
+    study.optimize(objective, callbacks=[enough], catch=RuntimeError)
+    iterations = sum(max(trial.intermediate_values, default=0) for trial in study.trials)
+    best = study.best_trial
+    told = {"run": best.user_attrs["run"], "params": best.params, "value": best.value, "iterations": iterations}
+    sys.stdout.write(json.dumps(told) + "\n")
 
 
 if __name__ == "__main__":
-    sys.argv[1:] = ["-m", *OWN, *(word for word in sys.argv[1:] if word not in ("-m", "--multirun"))]
-    trial()
+    main()

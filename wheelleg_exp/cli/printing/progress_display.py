@@ -154,9 +154,9 @@ class ConsoleSweepDisplay(LiveLines):
     def started(self, job: JobEntry) -> None:
         number = job["number"]
         self._last_plain[number] = time.monotonic()
-        if self._live:
+        if self._live and number not in self._tasks:  # A preempted job starts several times.
             self._tasks[number] = self._progress.add_task(_title(job), total=1, figures="")
-        else:
+        elif not self._live:
             self.say(f"{_title(job)} started")
 
     def iteration(self, job: JobEntry, done: int, total: int, scalars: Mapping[str, float]) -> None:
