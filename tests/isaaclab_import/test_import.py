@@ -184,6 +184,9 @@ def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object
     actions = torch.tensor([[0.3, -0.2, 0.1, 0.4, 0.5, -0.6]]).repeat(2, 1)
     found = env.step(actions)[0]["policy"]
     assert env.step_dt == 0.02
+    written = env.options.robot
+    sizes = [written.size, written.mass, written.wheel_radius, written.standing_height]
+    assert sizes == pytest.approx([0.07, 0.5, 0.02, 0.07], rel=0.02)
     data, robot = env.scene.robot.data, env.scene.robot
     if file == "deploy.yaml":
         assert robot.joint_names == ["l01", "r01", "l02", "r02", "l03", "r03"]

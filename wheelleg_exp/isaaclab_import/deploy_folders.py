@@ -11,6 +11,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.run_folder import RunFolder, read_mapping
 from wheelleg_exp.jobs.export.isaaclab_run import Tree
+from wheelleg_exp.project.robot_yaml import natural_speed
 from wheelleg_exp.project.survey import survey
 
 _MDP = "isaaclab.envs.mdp"
@@ -34,9 +35,12 @@ def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report
     convert = _unitree if folder.kind == "deploy.yaml" else _rl_sar
     tree = convert(folder, list(dofs), report)
     pose = tree["scene"]["robot"]["init_state"]["joint_pos"]
-    height = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True).facts.standing_height
-    height = round(height + _SETTLING, 4)
+    found = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True)
+    height = round(found.facts.standing_height + _SETTLING, 4)
     tree["scene"]["robot"]["init_state"]["pos"] = [0.0, 0.0, height]
+    sizes = {"standing_height": found.facts.standing_height, "wheel_radius": found.facts.wheel_radius or None}
+    sizes |= {"size": found.size, "mass": found.facts.mass, "natural_speed": natural_speed(found)}
+    tree["scene"]["robot"]["sizes"] = sizes  # of which the numbers of protocols are multiples
     text = f"{height} m: the height of the default pose, plus {_SETTLING} m"
     report.add("scene.robot.init_state.pos", ASSUMED, text)
     report.add("rewards", ASSUMED, "none: a deployment folder does not describe the training")
