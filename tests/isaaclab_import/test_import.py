@@ -147,7 +147,6 @@ UNITREE = {
 }  # fmt: skip
 RL_SAR = {
     "flip/robot_lab": {
-        "joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"],
         "joint_mapping": [0, 1, 2, 3, 4, 5],
         "wheel_indices": [4, 5],
         "dt": 0.005,
@@ -173,8 +172,11 @@ RL_SAR = {
 
 @pytest.mark.parametrize(("file", "content", "width"), [("deploy.yaml", UNITREE, 18), ("config.yaml", RL_SAR, 54)])
 def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object], width: int) -> None:
-    folder = tmp_path / "deploy"
-    folder.mkdir()
+    folder = tmp_path / "deploy/legged/walk"
+    folder.mkdir(parents=True)
+    if file == "config.yaml":  # rl_sar's base.yaml can be two folders above.
+        base = {"flip": {"joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"]}}
+        (tmp_path / "deploy/base.yaml").write_text(yaml.safe_dump(base))
     (folder / file).write_text(yaml.safe_dump(content, sort_keys=False))
     torch.jit.script(Exported(ActorCritic(width).actor, torch.nn.Identity())).save(str(folder / "policy.pt"))
     name = f"flip_{file.split('.')[0]}"
@@ -240,8 +242,6 @@ def _with_nan(folder: Path) -> None:
 
 def _limx(folder: Path) -> None:
     (folder / "params/env.yaml").rename(folder / "params.yaml")
-    (folder / "policy").mkdir()
-    (folder / "policy/encoder.onnx").touch()
 
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
@@ -282,7 +282,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "expression": (_edit("actions.legs.joint_names", ["(a|a)" * 30]), "too many ways"),
     "half lags": (_edit("observations.policy.gravity.delay_max_lag", 2.5), "delay_max_lag: .*whole numbers"),
     "other distribution": (_replace("params/agent.yaml", AGENT + OTHER), "distribution_cfg.class_name"),
-    "encoder": (_limx, "encoder"),
+    "another params.yaml": (_limx, "params.yaml: .*structure .KeyError: 'PointfootCfg'"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
 }  # fmt: skip
 

@@ -1,8 +1,9 @@
-"""Convert folders for deployment (unitree_rl_lab, rl_sar), which lack the training, to the form of ``env.yaml``."""
+"""Convert folders for deployment (unitree_rl_lab, rl_sar, LimX), without the training, to the form of ``env.yaml``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from wheelleg_exp.asset.robot_description import Dof
@@ -27,13 +28,15 @@ _OBSERVATIONS = {
     "dof_vel": ("joint_vel_rel", "dof_vel_scale"),
     "actions": ("last_action", None),
 }
+# LimX's runner multiplies the position of the joystick by 0.5 and by these keys of ``user_cmd_scales``.
+_JOYSTICK, _KEYS = 0.5, ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 _FASTEST = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]}
 
 
 def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report: ImportReport) -> Tree:
     """Return the config of a deployment folder in the structure of ``env.yaml``."""
-    convert = _unitree if folder.kind == "deploy.yaml" else _rl_sar
-    tree = convert(folder, list(dofs), report)
+    convert = {"deploy.yaml": _unitree, "config.yaml": _rl_sar, "params.yaml": _limx}
+    tree = convert[folder.kind](folder, list(dofs), report)
     pose = tree["scene"]["robot"]["init_state"]["joint_pos"]
     found = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True)
     height = round(found.facts.standing_height + _SETTLING, 4)
@@ -137,13 +140,66 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
 
 
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
-    # ``base.yaml`` is in the folder of ``config.yaml`` or in the folder above.
-    bases = [place / "base.yaml" for place in (folder.path, folder.path.parent)]
+    # ``base.yaml`` is in the folder of ``config.yaml``, or one or two folders above.
+    bases = [place / "base.yaml" for place in (folder.path, *folder.path.parents[:2])]
     contents = [read_mapping(base) for base in bases if base.is_file()][:1]
     config, where = Tree(), str(folder.config_file)
     for content in (*contents, folder.config):
         inner = next(iter(content.values()))
         config |= inner if isinstance(inner, Mapping) else content
+    return _of_settings(config, names, where, report)
+
+
+def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
+    """Convert a wheel-foot policy of tron1-rl-deploy-python; its runner is the class ``WheelfootController``."""
+    config = folder.config["PointfootCfg"]
+    control, normal, listed = config["control"], config["normalization"], config["joint_names"]
+    number, legs = len(listed), [listed[index] for index in config["size"]["jointpos_idxs"]]
+    scales, order = normal["obs_scales"], list(range(number))
+    observed = [scales["lin_vel"], scales["lin_vel"], scales["ang_vel"]]
+    if folder.policy is not None and folder.policy.parent.name == "isaaclab":  # left and right joints alternate
+        order = [index for pair in zip(order[: number // 2], order[number // 2 :], strict=True) for index in pair]
+        observed = [1.0, 1.0, 1.0]
+    report.add("user_cmd_scales", ASSUMED, f"the policy observes its command times {observed}, as in its training")
+    wheels = [listed[index] not in legs for index in order]
+    damping, history = control["wheel_joint_damping"], config["size"]["obs_history_length"]
+    of_joints = {
+        "rl_kp": (control["stiffness"], 0.0),
+        "rl_kd": (control["damping"], damping),
+        "action_scale": (control["action_scale_pos"], damping),
+        "torque_limits": (control["user_torque_limit"], control["wheel_joint_torque_limit"]),
+        "clip_actions_lower": (-normal["clip_scales"]["clip_actions"],) * 2,
+        "clip_actions_upper": (normal["clip_scales"]["clip_actions"],) * 2,
+    }
+    settings: Tree = {
+        **{key: [pair[is_wheel] for is_wheel in wheels] for key, pair in of_joints.items()},
+        **{f"{name}_scale": scales[name] for name in ("ang_vel", "dof_pos", "dof_vel")},
+        "default_dof_pos": [config["init_state"]["default_joint_angle"][listed[index]] for index in order],
+        "commands_scale": observed,
+        "joint_names": listed,
+        "joint_mapping": order,
+        "wheel_indices": [place for place, is_wheel in enumerate(wheels) if is_wheel],
+        "dt": 1.0 / config["loop_frequency"],
+        "decimation": control["decimation"],
+        "observations": ["ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions", "commands"],
+        "observations_history": list(range(history))[::-1],
+        "observations_history_priority": "time",
+        "clip_obs": normal["clip_scales"]["clip_observations"],
+    }
+    tree = _of_settings(settings, names, str(folder.config_file), report)
+    chosen = [joint for joint in tree["scene"]["robot"]["joint_order"] if joint in legs]
+    positions = {"asset_cfg": {"name": "robot", "joint_names": chosen, "body_names": None, "preserve_order": True}}
+    tree["observations"]["policy"]["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
+    speeds = [_JOYSTICK * config["user_cmd_scales"][key] / scale for key, scale in zip(_KEYS, observed, strict=True)]
+    tree["commands"] = _command({axis: [-speed, speed] for axis, speed in zip(_FASTEST, speeds, strict=True)})
+    report.add("policy", RULE, "encoder.onnx and policy.onnx became one network, which observes the encoder's history")
+    text = "the policy observes its actions before the limit of the torque, LimX's runner after it"
+    report.add("control.user_torque_limit", ASSUMED, text)
+    return tree
+
+
+def _of_settings(config: Tree, names: list[str], where: str, report: ImportReport) -> Tree:
+    """Convert the settings of rl_sar's ``config.yaml`` and ``base.yaml``."""
     joints, wheels = _rl_sar_joints(config, names, where)
     gains = {"stiffness": config["rl_kp"], "damping": config["rl_kd"]}
     if config.get("torque_limits") is not None:
@@ -169,9 +225,6 @@ def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list
         raise ConfigError(message, key="joint_names", where=where, expected=", ".join(names))
     joints = [listed[index] for index in config.get("joint_mapping") or range(len(listed))]
     wheels = [joints[index] for index in config.get("wheel_indices") or []]
-    if joints != [joint for joint in joints if joint not in wheels] + wheels:
-        message = "wheels and legs alternate in the actions"
-        raise RunDirectoryError(message, key="wheel_indices", where=where, expected="legs first")
     return joints, wheels
 
 
@@ -179,13 +232,11 @@ def _rl_sar_actions(config: Tree, joints: list[str], wheels: list[str], report: 
     """Return the actions, and ``clip_actions`` if all actions have the same bound."""
     scale = _by_joint(joints, config["action_scale"])
     low, high = (_by_joint(joints, config[f"clip_actions_{end}"]) for end in ("lower", "upper"))
-    legs = [joint for joint in joints if joint not in wheels]
     tree: Tree = {"actions": {}}
-    if legs:
-        tree["actions"]["joint_pos"] = _action("JointPositionAction", legs, scale={name: scale[name] for name in legs})
-    if wheels:
-        action = _action("JointVelocityAction", wheels, scale={name: scale[name] for name in wheels})
-        tree["actions"]["joint_vel"] = action
+    for are_wheels, group in groupby(joints, key=lambda joint: joint in wheels):  # in the order of the policy
+        moved, kind, name = list(group), *(("Velocity", "joint_vel") if are_wheels else ("Position", "joint_pos"))
+        name += f"_{len(tree['actions'])}" if name in tree["actions"] else ""
+        tree["actions"][name] = _action(f"Joint{kind}Action", moved, scale={joint: scale[joint] for joint in moved})
     bounds = {abs(bound) for bound in (*low.values(), *high.values())}
     if len(bounds) == 1:
         tree["clip_actions"] = bounds.pop()

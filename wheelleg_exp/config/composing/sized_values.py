@@ -88,12 +88,13 @@ def _times(value: object, factor: float) -> object:
 
 
 def robot_sizes(env: Mapping[str, object]) -> list[str]:
-    """Return overrides for a config without a robot: the sizes and the largest commands of the config section ``env``."""
-    robot = section_at(env, "robot")
+    """Return overrides for a config without a robot: the sizes and the largest commands of the config ``env``."""
+    robot, ranges = section_at(env, "robot"), section_at(env, "commands.base_velocity.ranges")
     keys = SIZES if _is_size(robot.get("size")) else ("standing_height",)
     sizes = {key: robot.get(key) for key in keys}
-    ranges = section_at(env, "commands.base_velocity.ranges")
-    sizes |= {key: max(map(abs, ranges[key])) for key in ("lin_vel_x", "ang_vel_z") if key in ranges}
+    for key in ("lin_vel_x", "ang_vel_z"):
+        if isinstance(limits := ranges.get(key), list):
+            sizes[key] = max(map(abs, limits))
     return [f"++env.robot.{key}={size!r}" for key, size in sizes.items() if _is_size(size)]
 
 
