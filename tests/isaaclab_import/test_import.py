@@ -145,6 +145,21 @@ UNITREE = {
         "last_action": {"params": {}, "scale": [1.0] * 6, "history_length": 1},
     },
 }  # fmt: skip
+GYM = UNITREE | {
+    "commands": None,
+    "actions": {
+        "JointPositionAction": {"scale": [0.25] * 4, "offset": [0.9599, 0.9599, -1.885, -1.885], "joint_ids": [0, 1, 2, 3]},
+    },
+    "observations": {
+        "obs": {
+            "use_gym_history": True,
+            "scale_first": True,
+            "base_ang_vel": {"params": {}, "clip": [-0.02, 0.02], "scale": [0.2, 0.2, 0.2], "history_length": 2},
+            "last_action": {"params": {}, "history_length": 2},
+        },
+        "depth": {"depth_image": {"params": {}}},
+    },
+}  # fmt: skip
 RL_SAR = {
     "flip/robot_lab": {
         "joint_mapping": [0, 1, 2, 3, 4, 5],
@@ -203,6 +218,22 @@ def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object
         assert (now[:, 13:15] == 0).all()  # rl_sar sets the angles of wheels to 0
         torch.testing.assert_close(now[:, 15:21], 0.05 * data.joint_vel, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(data.joint_vel_target[:, 4:], 5.0 * actions[:, 4:], atol=1e-5, rtol=1e-5)
+
+
+def test_a_deployment_folder_with_named_groups_and_successive_steps(tmp_path: Path) -> None:
+    (tmp_path / "deploy.yaml").write_text(yaml.safe_dump(GYM, sort_keys=False))
+    torch.jit.script(Exported(ActorCritic(14, 4).actor, torch.nn.Identity())).save(str(tmp_path / "policy.pt"))
+    env = built(import_run(tmp_path, ROBOT, tmp_path / "flip_gym").path, "task=flip_gym", "env.num_envs=2")
+    actions = [torch.full((2, 4), value) for value in (2.0, -1.0)]
+    turning = []
+    for action in actions:
+        found = env.step(action)[0]["policy"]
+        turning.append((0.2 * env.scene.robot.data.root_ang_vel_b).clamp(-0.02, 0.02))
+    assert (turning[1].abs() == 0.02).any()  # clipped after the scale
+    torch.testing.assert_close(found, torch.cat((turning[0], actions[0], turning[1], actions[1]), 1))
+    held = torch.tensor([0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0])
+    held[:4] += 0.25 * actions[1][0]
+    torch.testing.assert_close(env.scene.robot.data.joint_pos_target[0], held)
 
 
 def _replace(file: str, text: str) -> Callable[[Path], None]:

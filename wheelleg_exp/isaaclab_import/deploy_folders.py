@@ -123,20 +123,40 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")
     if velocity is None:
-        raise RunDirectoryError("the policy has no command 'base_velocity'", key="commands", where=where)
-    tree["commands"] = _command(velocity["ranges"])
+        report.add("commands.base_velocity", ASSUMED, f"{_FASTEST}: the folder has no velocity command")
+    tree["commands"] = _command(_FASTEST if velocity is None else velocity["ranges"])
     (kind, action), *more = config["actions"].items()
     if more:
         raise RunDirectoryError("the policy has several actions", key="actions", where=where, expected="one action")
-    settings = {name: _by_joint(joints, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
-    tree["actions"] = {"joint_pos": _action(kind, joints, **settings, use_default_offset=False)}
-    terms = {}
-    for name, term in config["observations"].items():
-        settings = {key: term[key] for key in ("scale", "clip", "history_length") if term.get(key) is not None}
-        function = "generated_commands" if name == "velocity_commands" else name
-        terms[name] = _observation(function, term.get("params"), **settings)
-    tree["observations"] = {"policy": {"concatenate_terms": True, "enable_corruption": False, **terms}}
+    moved = [joints[index] for index in action.get("joint_ids") or range(len(joints))]
+    settings = {name: _by_joint(moved, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
+    tree["actions"] = {"joint_pos": _action(kind, moved, **settings, use_default_offset=False)}
+    tree["observations"] = {"policy": _unitree_observations(config["observations"], where)}
     return tree
+
+
+def _unitree_observations(terms: Tree, where: str) -> Tree:
+    """Return the observation group of a policy; with named groups, the first, as the policy has one input."""
+    first = next(iter(terms.values()))
+    if isinstance(first, Mapping) and any(isinstance(v, Mapping) and "params" in v for v in first.values()):
+        terms = dict(first)
+    flags = {name: terms.get(name, False) for name in ("use_gym_history", "scale_first")}
+    group: Tree = {"concatenate_terms": True, "enable_corruption": False}
+    if flags["use_gym_history"]:  # successive steps, not successive terms
+        group["history_order"] = "time"
+    for name, term in terms.items():
+        if name in flags:
+            continue
+        settings = {key: term[key] for key in ("scale", "clip", "history_length") if term.get(key) is not None}
+        if flags["scale_first"] and settings.keys() >= {"scale", "clip"}:  # Isaac Lab clips first.
+            scale, *others = set(settings["scale"])
+            if others or scale <= 0:
+                message, key = "the bounds differ between components", f"observations.{name}.clip"
+                raise RunDirectoryError(message, key=key, where=where, expected="one positive scale with scale_first")
+            settings["clip"] = [bound / scale for bound in settings["clip"]]
+        function = "generated_commands" if name == "velocity_commands" else name
+        group[name] = _observation(function, term.get("params"), **settings)
+    return group
 
 
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
