@@ -13,6 +13,7 @@ import yaml
 from sim.actuators import torques
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, ActorCritic, Exported, changed, write_run, write_terms
+from tests.isaaclab_import.test_author_runners import LIMX
 from wheelleg_exp.build import build_env
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
@@ -148,7 +149,7 @@ UNITREE = {
 GYM = UNITREE | {
     "commands": None,
     "actions": {
-        "JointPositionAction": {"scale": [0.25] * 4, "offset": [0.9599, 0.9599, -1.885, -1.885], "joint_ids": [0, 1, 2, 3]},
+        "JointPositionAction": {"scale": [0.25] * 4, "offset": [0.9599] * 2 + [-1.885] * 2, "joint_ids": [0, 1, 2, 3]},
     },
     "observations": {
         "obs": {
@@ -334,6 +335,39 @@ def test_broken_folders(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPat
         assert ".tmp" not in str(error.value)
         assert sorted(tmp_path.iterdir()) == before
     assert not (tmp_path / "executed").exists()
+
+
+FLIP = {"flip": RL_SAR["flip/robot_lab"] | {"joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"]}}
+SPOILED = {
+    "deploy.yaml": {
+        **{"step_dt": float("nan"), "stiffness": [3.0], "default_joint_pos": "x", "joint_ids_map": [0, 0, 0, 0, 0, 0]},
+        **{"observations": {}, "actions": {}, "commands": [1], "damping": [-1.0] * 6},
+    },
+    "config.yaml": {
+        **{"flip.dt": 0.0, "flip.decimation": 0, "flip.wheel_indices": [9], "flip.joint_mapping": [0, 0, 0, 0, 0, 0]},
+        **{"flip.observations": ["os.system"], "flip.action_scale": None, "flip": {}},
+        **{"flip.default_dof_pos": [1e400] * 6, "flip.joint_names": ["x"] * 6},
+    },
+    "params.yaml": {
+        **{"PointfootCfg.loop_frequency": 0, "PointfootCfg.joint_names": [], "PointfootCfg": 3},
+        **{"PointfootCfg.size.jointpos_idxs": [99], "PointfootCfg.control.decimation": "ten"},
+    },
+}  # fmt: skip
+GOOD = {"deploy.yaml": UNITREE, "config.yaml": FLIP, "params.yaml": {"PointfootCfg": LIMX}}
+CASES = [(file, key, value) for file, edits in SPOILED.items() for key, value in edits.items()]
+
+
+@pytest.mark.parametrize(("file", "key", "value"), CASES)
+def test_spoiled_deployment_folders_are_refused_in_one_sentence(
+    tmp_path: Path, file: str, key: str, value: object
+) -> None:
+    (tmp_path / "deploy").mkdir()
+    (tmp_path / "deploy" / file).write_text(changed(yaml.safe_dump(GOOD[file]), key, value))
+    with pytest.raises(WheellegError) as error:
+        import_run(tmp_path / "deploy", ROBOT, tmp_path / "flip")
+    assert str(error.value).count("\n") <= 6
+    assert "Traceback" not in str(error.value)
+    assert not (tmp_path / "flip").exists()
 
 
 NETWORKS = {

@@ -137,7 +137,7 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
 
 def _unitree_observations(terms: Tree, where: str) -> Tree:
     """Return the observation group of a policy; with named groups, the first, as the policy has one input."""
-    first = next(iter(terms.values()))
+    first = next(iter(terms.values()), None)
     if isinstance(first, Mapping) and any(isinstance(v, Mapping) and "params" in v for v in first.values()):
         terms = dict(first)
     flags = {name: terms.get(name, False) for name in ("use_gym_history", "scale_first")}
@@ -165,7 +165,7 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     contents = [read_mapping(base) for base in bases if base.is_file()][:1]
     config, where = Tree(), str(folder.config_file)
     for content in (*contents, folder.config):
-        inner = next(iter(content.values()))
+        inner = next(iter(content.values()), None)
         config |= inner if isinstance(inner, Mapping) else content
     return _of_settings(config, names, where, report)
 
