@@ -213,6 +213,7 @@ def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object
         torch.testing.assert_close(data.joint_pos_target, expected, atol=1e-5, rtol=1e-5)
     else:
         assert robot.joint_names == ["r01", "r02", "l01", "l02", "r03", "l03"]
+        assert {name: drive.joint_names for name, drive in robot.actuators.items()}["wheels"] == ["r03", "l03"]
         now = found[:, 27:]
         legs = data.joint_pos - torch.tensor([0.9599, -1.885, 0.9599, -1.885, 0.0, 0.0])
         torch.testing.assert_close(now[:, 9:13], legs[:, :4], atol=1e-5, rtol=1e-5)

@@ -102,17 +102,23 @@ def _observation(function: str, params: Mapping[str, object] | None, **settings:
     return {"func": f"{_MDP}.observations:{function}", "params": params or {}, **settings}
 
 
-def _actuators(joints: Sequence[str], **gains: Sequence[float]) -> Tree:
-    """Return one actuator for all joints, with gains and limits in the order of ``joints``."""
-    node: Tree = {"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": list(joints)}
-    return {"all": node | {name: _by_joint(joints, [float(v) for v in values]) for name, values in gains.items()}}
+def _actuators(joints: Sequence[str], wheels: Sequence[str] = (), **gains: Sequence[float]) -> Tree:
+    """Return the actuators of legs and wheels, with gains and limits in the order of ``joints``."""
+    groups = {"legs": [joint for joint in joints if joint not in wheels], "wheels": list(wheels)}
+    given = {name: _by_joint(joints, [float(value) for value in values]) for name, values in gains.items()}
+    return {
+        group: {"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": members}
+        | {name: {joint: values[joint] for joint in members} for name, values in given.items()}
+        for group, members in groups.items()
+        if members
+    }
 
 
 def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     config, where = folder.config, str(folder.config_file)
     order = config["joint_ids_map"]  # the motor of each joint; a robot can lack some motors
     if len(set(order)) != len(names):
-        message = f"the policy has {len(order)} joints, but the robot file has {len(names)}"
+        message = f"the policy has {len(set(order))} joints, but the robot file has {len(names)}"
         raise RunDirectoryError(message, key="joint_ids_map", where=where, expected="the robot of the policy")
     joints = [names[sorted(order).index(motor)] for motor in order]
     text = f"the motors have the order of the joints in the robot file; the policy's order is {', '.join(joints)}"
@@ -225,7 +231,7 @@ def _of_settings(config: Tree, names: list[str], where: str, report: ImportRepor
     if config.get("torque_limits") is not None:
         gains["effort_limit"] = config["torque_limits"]
     step = (config["dt"], config["decimation"])
-    tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, **gains))
+    tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, wheels, **gains))
     tree["commands"] = _command(_FASTEST)
     report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
     tree |= _rl_sar_actions(config, joints, wheels, report)

@@ -99,7 +99,8 @@ def read_mapping(path: Path, expected: str = _EXPECTED) -> Tree:
 
 
 def malformed(path: Path, error: Exception) -> WheellegError:
-    """Return the error for a config whose values have other types than Isaac Lab writes."""
+    """Return the error for a config whose values have other types than its author writes."""
     text = " ".join(str(error).split())[:160]
-    message = f"the file does not have Isaac Lab's structure ({type(error).__name__}: {text})"
-    return RunDirectoryError(message, key=str(path), expected="the file as Isaac Lab wrote it")
+    message = f"the file does not have the usual structure ({type(error).__name__}: {text})"
+    expected = "the file as Isaac Lab, unitree_rl_lab, rl_sar, or LimX writes it"
+    return RunDirectoryError(message, key=str(path), expected=expected)
