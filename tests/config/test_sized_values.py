@@ -73,6 +73,16 @@ def test_only_numbers_of_a_recorded_robot_reach_a_composition(size):
     assert robot_sizes({"robot": {"size": size, "mass": 1.0, "standing_height": size}}) == []
 
 
+@pytest.mark.parametrize("robot", [{"size": 0.5, "natural_speed": 2.0, "wheel_radius": 0.1, "mass": 3.0}, {}])
+def test_the_arena_commands_shares_of_the_largest_commands_of_the_policys_task(robot):
+    ranges = {"lin_vel_x": [-1.0, 2.0], "ang_vel_z": [-3.0, 0.5]}
+    words = robot_sizes({"robot": robot, "commands": {"base_velocity": {"ranges": ranges}}})
+    protocol = compose([*words, "protocol=arena"], primary="evaluate").config["protocol"]
+    assert protocol["walk"]["lin_vel_x"] == [-2.0, -1.0, 0.0, 1.0, 2.0]
+    assert protocol["walk"]["ang_vel_z"] == [-3.0, 0.0, 3.0]
+    assert protocol["terrain"]["lin_vel_x"] == 1.0
+
+
 def test_a_strip_ends_before_the_drive_over_it():
     for speed in (SPEED, 0.5):
         words = [f"++env.robot.{key}={value}" for key, value in {**SIZES, "natural_speed": speed}.items()]

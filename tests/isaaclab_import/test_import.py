@@ -13,6 +13,7 @@ import yaml
 from sim.actuators import torques
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, ActorCritic, Exported, changed, write_run, write_terms
+from tests.isaaclab_import.test_author_runners import LIMX
 from wheelleg_exp.build import build_env
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
@@ -145,9 +146,23 @@ UNITREE = {
         "last_action": {"params": {}, "scale": [1.0] * 6, "history_length": 1},
     },
 }  # fmt: skip
+GYM = UNITREE | {
+    "commands": None,
+    "actions": {
+        "JointPositionAction": {"scale": [0.25] * 4, "offset": [0.9599] * 2 + [-1.885] * 2, "joint_ids": [0, 1, 2, 3]},
+    },
+    "observations": {
+        "obs": {
+            "use_gym_history": True,
+            "scale_first": True,
+            "base_ang_vel": {"params": {}, "clip": [-0.02, 0.02], "scale": [0.2, 0.2, 0.2], "history_length": 2},
+            "last_action": {"params": {}, "history_length": 2},
+        },
+        "depth": {"depth_image": {"params": {}}},
+    },
+}  # fmt: skip
 RL_SAR = {
     "flip/robot_lab": {
-        "joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"],
         "joint_mapping": [0, 1, 2, 3, 4, 5],
         "wheel_indices": [4, 5],
         "dt": 0.005,
@@ -173,8 +188,11 @@ RL_SAR = {
 
 @pytest.mark.parametrize(("file", "content", "width"), [("deploy.yaml", UNITREE, 18), ("config.yaml", RL_SAR, 54)])
 def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object], width: int) -> None:
-    folder = tmp_path / "deploy"
-    folder.mkdir()
+    folder = tmp_path / "deploy/legged/walk"
+    folder.mkdir(parents=True)
+    if file == "config.yaml":  # rl_sar's base.yaml can be two folders above.
+        base = {"flip": {"joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"]}}
+        (tmp_path / "deploy/base.yaml").write_text(yaml.safe_dump(base))
     (folder / file).write_text(yaml.safe_dump(content, sort_keys=False))
     torch.jit.script(Exported(ActorCritic(width).actor, torch.nn.Identity())).save(str(folder / "policy.pt"))
     name = f"flip_{file.split('.')[0]}"
@@ -184,6 +202,9 @@ def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object
     actions = torch.tensor([[0.3, -0.2, 0.1, 0.4, 0.5, -0.6]]).repeat(2, 1)
     found = env.step(actions)[0]["policy"]
     assert env.step_dt == 0.02
+    written = env.options.robot
+    sizes = [written.size, written.mass, written.wheel_radius, written.standing_height]
+    assert sizes == pytest.approx([0.07, 0.5, 0.02, 0.07], rel=0.02)
     data, robot = env.scene.robot.data, env.scene.robot
     if file == "deploy.yaml":
         assert robot.joint_names == ["l01", "r01", "l02", "r02", "l03", "r03"]
@@ -192,12 +213,29 @@ def test_deployment_folders(tmp_path: Path, file: str, content: dict[str, object
         torch.testing.assert_close(data.joint_pos_target, expected, atol=1e-5, rtol=1e-5)
     else:
         assert robot.joint_names == ["r01", "r02", "l01", "l02", "r03", "l03"]
+        assert {name: drive.joint_names for name, drive in robot.actuators.items()}["wheels"] == ["r03", "l03"]
         now = found[:, 27:]
         legs = data.joint_pos - torch.tensor([0.9599, -1.885, 0.9599, -1.885, 0.0, 0.0])
         torch.testing.assert_close(now[:, 9:13], legs[:, :4], atol=1e-5, rtol=1e-5)
         assert (now[:, 13:15] == 0).all()  # rl_sar sets the angles of wheels to 0
         torch.testing.assert_close(now[:, 15:21], 0.05 * data.joint_vel, atol=1e-5, rtol=1e-5)
         torch.testing.assert_close(data.joint_vel_target[:, 4:], 5.0 * actions[:, 4:], atol=1e-5, rtol=1e-5)
+
+
+def test_a_deployment_folder_with_named_groups_and_successive_steps(tmp_path: Path) -> None:
+    (tmp_path / "deploy.yaml").write_text(yaml.safe_dump(GYM, sort_keys=False))
+    torch.jit.script(Exported(ActorCritic(14, 4).actor, torch.nn.Identity())).save(str(tmp_path / "policy.pt"))
+    env = built(import_run(tmp_path, ROBOT, tmp_path / "flip_gym").path, "task=flip_gym", "env.num_envs=2")
+    actions = [torch.full((2, 4), value) for value in (2.0, -1.0)]
+    turning = []
+    for action in actions:
+        found = env.step(action)[0]["policy"]
+        turning.append((0.2 * env.scene.robot.data.root_ang_vel_b).clamp(-0.02, 0.02))
+    assert (turning[1].abs() == 0.02).any()  # clipped after the scale
+    torch.testing.assert_close(found, torch.cat((turning[0], actions[0], turning[1], actions[1]), 1))
+    held = torch.tensor([0.9599, 0.9599, -1.885, -1.885, 0.0, 0.0])
+    held[:4] += 0.25 * actions[1][0]
+    torch.testing.assert_close(env.scene.robot.data.joint_pos_target[0], held)
 
 
 def _replace(file: str, text: str) -> Callable[[Path], None]:
@@ -237,8 +275,6 @@ def _with_nan(folder: Path) -> None:
 
 def _limx(folder: Path) -> None:
     (folder / "params/env.yaml").rename(folder / "params.yaml")
-    (folder / "policy").mkdir()
-    (folder / "policy/encoder.onnx").touch()
 
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
@@ -279,7 +315,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "expression": (_edit("actions.legs.joint_names", ["(a|a)" * 30]), "too many ways"),
     "half lags": (_edit("observations.policy.gravity.delay_max_lag", 2.5), "delay_max_lag: .*whole numbers"),
     "other distribution": (_replace("params/agent.yaml", AGENT + OTHER), "distribution_cfg.class_name"),
-    "encoder": (_limx, "encoder"),
+    "another params.yaml": (_limx, "params.yaml: .*structure .KeyError: 'PointfootCfg'"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
 }  # fmt: skip
 
@@ -300,6 +336,39 @@ def test_broken_folders(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPat
         assert ".tmp" not in str(error.value)
         assert sorted(tmp_path.iterdir()) == before
     assert not (tmp_path / "executed").exists()
+
+
+FLIP = {"flip": RL_SAR["flip/robot_lab"] | {"joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"]}}
+SPOILED = {
+    "deploy.yaml": {
+        **{"step_dt": float("nan"), "stiffness": [3.0], "default_joint_pos": "x", "joint_ids_map": [0, 0, 0, 0, 0, 0]},
+        **{"observations": {}, "actions": {}, "commands": [1], "damping": [-1.0] * 6},
+    },
+    "config.yaml": {
+        **{"flip.dt": 0.0, "flip.decimation": 0, "flip.wheel_indices": [9], "flip.joint_mapping": [0, 0, 0, 0, 0, 0]},
+        **{"flip.observations": ["os.system"], "flip.action_scale": None, "flip": {}},
+        **{"flip.default_dof_pos": [1e400] * 6, "flip.joint_names": ["x"] * 6},
+    },
+    "params.yaml": {
+        **{"PointfootCfg.loop_frequency": 0, "PointfootCfg.joint_names": [], "PointfootCfg": 3},
+        **{"PointfootCfg.size.jointpos_idxs": [99], "PointfootCfg.control.decimation": "ten"},
+    },
+}  # fmt: skip
+GOOD = {"deploy.yaml": UNITREE, "config.yaml": FLIP, "params.yaml": {"PointfootCfg": LIMX}}
+CASES = [(file, key, value) for file, edits in SPOILED.items() for key, value in edits.items()]
+
+
+@pytest.mark.parametrize(("file", "key", "value"), CASES)
+def test_spoiled_deployment_folders_are_refused_in_one_sentence(
+    tmp_path: Path, file: str, key: str, value: object
+) -> None:
+    (tmp_path / "deploy").mkdir()
+    (tmp_path / "deploy" / file).write_text(changed(yaml.safe_dump(GOOD[file]), key, value))
+    with pytest.raises(WheellegError) as error:
+        import_run(tmp_path / "deploy", ROBOT, tmp_path / "flip")
+    assert str(error.value).count("\n") <= 6
+    assert "Traceback" not in str(error.value)
+    assert not (tmp_path / "flip").exists()
 
 
 NETWORKS = {

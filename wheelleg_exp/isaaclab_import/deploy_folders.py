@@ -1,8 +1,9 @@
-"""Convert folders for deployment (unitree_rl_lab, rl_sar), which lack the training, to the form of ``env.yaml``."""
+"""Convert folders for deployment (unitree_rl_lab, rl_sar, LimX), without the training, to the form of ``env.yaml``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 from wheelleg_exp.asset.robot_description import Dof
@@ -11,6 +12,7 @@ from wheelleg_exp.errors import ConfigError, RunDirectoryError
 from wheelleg_exp.isaaclab_import.import_report import ASSUMED, DROPPED, RULE, ImportReport
 from wheelleg_exp.isaaclab_import.run_folder import RunFolder, read_mapping
 from wheelleg_exp.jobs.export.isaaclab_run import Tree
+from wheelleg_exp.project.robot_yaml import natural_speed
 from wheelleg_exp.project.survey import survey
 
 _MDP = "isaaclab.envs.mdp"
@@ -26,17 +28,22 @@ _OBSERVATIONS = {
     "dof_vel": ("joint_vel_rel", "dof_vel_scale"),
     "actions": ("last_action", None),
 }
+# LimX's runner multiplies the position of the joystick by 0.5 and by these keys of ``user_cmd_scales``.
+_JOYSTICK, _KEYS = 0.5, ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 _FASTEST = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]}
 
 
 def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report: ImportReport) -> Tree:
     """Return the config of a deployment folder in the structure of ``env.yaml``."""
-    convert = _unitree if folder.kind == "deploy.yaml" else _rl_sar
-    tree = convert(folder, list(dofs), report)
+    convert = {"deploy.yaml": _unitree, "config.yaml": _rl_sar, "params.yaml": _limx}
+    tree = convert[folder.kind](folder, list(dofs), report)
     pose = tree["scene"]["robot"]["init_state"]["joint_pos"]
-    height = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True).facts.standing_height
-    height = round(height + _SETTLING, 4)
+    found = survey(robot, compose(["task=stand"]).config["env"], pose, allow_missing=True)
+    height = round(found.facts.standing_height + _SETTLING, 4)
     tree["scene"]["robot"]["init_state"]["pos"] = [0.0, 0.0, height]
+    sizes = {"standing_height": found.facts.standing_height, "wheel_radius": found.facts.wheel_radius or None}
+    sizes |= {"size": found.size, "mass": found.facts.mass, "natural_speed": natural_speed(found)}
+    tree["scene"]["robot"]["sizes"] = sizes  # of which the numbers of protocols are multiples
     text = f"{height} m: the height of the default pose, plus {_SETTLING} m"
     report.add("scene.robot.init_state.pos", ASSUMED, text)
     report.add("rewards", ASSUMED, "none: a deployment folder does not describe the training")
@@ -95,17 +102,23 @@ def _observation(function: str, params: Mapping[str, object] | None, **settings:
     return {"func": f"{_MDP}.observations:{function}", "params": params or {}, **settings}
 
 
-def _actuators(joints: Sequence[str], **gains: Sequence[float]) -> Tree:
-    """Return one actuator for all joints, with gains and limits in the order of ``joints``."""
-    node: Tree = {"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": list(joints)}
-    return {"all": node | {name: _by_joint(joints, [float(v) for v in values]) for name, values in gains.items()}}
+def _actuators(joints: Sequence[str], wheels: Sequence[str] = (), **gains: Sequence[float]) -> Tree:
+    """Return the actuators of legs and wheels, with gains and limits in the order of ``joints``."""
+    groups = {"legs": [joint for joint in joints if joint not in wheels], "wheels": list(wheels)}
+    given = {name: _by_joint(joints, [float(value) for value in values]) for name, values in gains.items()}
+    return {
+        group: {"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": members}
+        | {name: {joint: values[joint] for joint in members} for name, values in given.items()}
+        for group, members in groups.items()
+        if members
+    }
 
 
 def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     config, where = folder.config, str(folder.config_file)
     order = config["joint_ids_map"]  # the motor of each joint; a robot can lack some motors
     if len(set(order)) != len(names):
-        message = f"the policy has {len(order)} joints, but the robot file has {len(names)}"
+        message = f"the policy has {len(set(order))} joints, but the robot file has {len(names)}"
         raise RunDirectoryError(message, key="joint_ids_map", where=where, expected="the robot of the policy")
     joints = [names[sorted(order).index(motor)] for motor in order]
     text = f"the motors have the order of the joints in the robot file; the policy's order is {', '.join(joints)}"
@@ -116,36 +129,109 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")
     if velocity is None:
-        raise RunDirectoryError("the policy has no command 'base_velocity'", key="commands", where=where)
-    tree["commands"] = _command(velocity["ranges"])
+        report.add("commands.base_velocity", ASSUMED, f"{_FASTEST}: the folder has no velocity command")
+    tree["commands"] = _command(_FASTEST if velocity is None else velocity["ranges"])
     (kind, action), *more = config["actions"].items()
     if more:
         raise RunDirectoryError("the policy has several actions", key="actions", where=where, expected="one action")
-    settings = {name: _by_joint(joints, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
-    tree["actions"] = {"joint_pos": _action(kind, joints, **settings, use_default_offset=False)}
-    terms = {}
-    for name, term in config["observations"].items():
-        settings = {key: term[key] for key in ("scale", "clip", "history_length") if term.get(key) is not None}
-        function = "generated_commands" if name == "velocity_commands" else name
-        terms[name] = _observation(function, term.get("params"), **settings)
-    tree["observations"] = {"policy": {"concatenate_terms": True, "enable_corruption": False, **terms}}
+    moved = [joints[index] for index in action.get("joint_ids") or range(len(joints))]
+    settings = {name: _by_joint(moved, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
+    tree["actions"] = {"joint_pos": _action(kind, moved, **settings, use_default_offset=False)}
+    tree["observations"] = {"policy": _unitree_observations(config["observations"], where)}
     return tree
 
 
+def _unitree_observations(terms: Tree, where: str) -> Tree:
+    """Return the observation group of a policy; with named groups, the first, as the policy has one input."""
+    first = next(iter(terms.values()), None)
+    if isinstance(first, Mapping) and any(isinstance(v, Mapping) and "params" in v for v in first.values()):
+        terms = dict(first)
+    flags = {name: terms.get(name, False) for name in ("use_gym_history", "scale_first")}
+    group: Tree = {"concatenate_terms": True, "enable_corruption": False}
+    if flags["use_gym_history"]:  # successive steps, not successive terms
+        group["history_order"] = "time"
+    for name, term in terms.items():
+        if name in flags:
+            continue
+        settings = {key: term[key] for key in ("scale", "clip", "history_length") if term.get(key) is not None}
+        if flags["scale_first"] and settings.keys() >= {"scale", "clip"}:  # Isaac Lab clips first.
+            scale, *others = set(settings["scale"])
+            if others or scale <= 0:
+                message, key = "the bounds differ between components", f"observations.{name}.clip"
+                raise RunDirectoryError(message, key=key, where=where, expected="one positive scale with scale_first")
+            settings["clip"] = [bound / scale for bound in settings["clip"]]
+        function = "generated_commands" if name == "velocity_commands" else name
+        group[name] = _observation(function, term.get("params"), **settings)
+    return group
+
+
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
-    # ``base.yaml`` is in the folder of ``config.yaml`` or in the folder above.
-    bases = [place / "base.yaml" for place in (folder.path, folder.path.parent)]
+    # ``base.yaml`` is in the folder of ``config.yaml``, or one or two folders above.
+    bases = [place / "base.yaml" for place in (folder.path, *folder.path.parents[:2])]
     contents = [read_mapping(base) for base in bases if base.is_file()][:1]
     config, where = Tree(), str(folder.config_file)
     for content in (*contents, folder.config):
-        inner = next(iter(content.values()))
+        inner = next(iter(content.values()), None)
         config |= inner if isinstance(inner, Mapping) else content
+    return _of_settings(config, names, where, report)
+
+
+def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
+    """Convert a wheel-foot policy of tron1-rl-deploy-python; its runner is the class ``WheelfootController``."""
+    config = folder.config["PointfootCfg"]
+    control, normal, listed = config["control"], config["normalization"], config["joint_names"]
+    number, legs = len(listed), [listed[index] for index in config["size"]["jointpos_idxs"]]
+    scales, order = normal["obs_scales"], list(range(number))
+    observed = [scales["lin_vel"], scales["lin_vel"], scales["ang_vel"]]
+    if folder.policy is not None and folder.policy.parent.name == "isaaclab":  # left and right joints alternate
+        order = [index for pair in zip(order[: number // 2], order[number // 2 :], strict=True) for index in pair]
+        observed = [1.0, 1.0, 1.0]
+    report.add("user_cmd_scales", ASSUMED, f"the policy observes its command times {observed}, as in its training")
+    wheels = [listed[index] not in legs for index in order]
+    damping, history = control["wheel_joint_damping"], config["size"]["obs_history_length"]
+    of_joints = {
+        "rl_kp": (control["stiffness"], 0.0),
+        "rl_kd": (control["damping"], damping),
+        "action_scale": (control["action_scale_pos"], damping),
+        "torque_limits": (control["user_torque_limit"], control["wheel_joint_torque_limit"]),
+        "clip_actions_lower": (-normal["clip_scales"]["clip_actions"],) * 2,
+        "clip_actions_upper": (normal["clip_scales"]["clip_actions"],) * 2,
+    }
+    settings: Tree = {
+        **{key: [pair[is_wheel] for is_wheel in wheels] for key, pair in of_joints.items()},
+        **{f"{name}_scale": scales[name] for name in ("ang_vel", "dof_pos", "dof_vel")},
+        "default_dof_pos": [config["init_state"]["default_joint_angle"][listed[index]] for index in order],
+        "commands_scale": observed,
+        "joint_names": listed,
+        "joint_mapping": order,
+        "wheel_indices": [place for place, is_wheel in enumerate(wheels) if is_wheel],
+        "dt": 1.0 / config["loop_frequency"],
+        "decimation": control["decimation"],
+        "observations": ["ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions", "commands"],
+        "observations_history": list(range(history))[::-1],
+        "observations_history_priority": "time",
+        "clip_obs": normal["clip_scales"]["clip_observations"],
+    }
+    tree = _of_settings(settings, names, str(folder.config_file), report)
+    chosen = [joint for joint in tree["scene"]["robot"]["joint_order"] if joint in legs]
+    positions = {"asset_cfg": {"name": "robot", "joint_names": chosen, "body_names": None, "preserve_order": True}}
+    tree["observations"]["policy"]["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
+    speeds = [_JOYSTICK * config["user_cmd_scales"][key] / scale for key, scale in zip(_KEYS, observed, strict=True)]
+    tree["commands"] = _command({axis: [-speed, speed] for axis, speed in zip(_FASTEST, speeds, strict=True)})
+    report.add("policy", RULE, "encoder.onnx and policy.onnx became one network, which observes the encoder's history")
+    text = "the policy observes its actions before the limit of the torque, LimX's runner after it"
+    report.add("control.user_torque_limit", ASSUMED, text)
+    return tree
+
+
+def _of_settings(config: Tree, names: list[str], where: str, report: ImportReport) -> Tree:
+    """Convert the settings of rl_sar's ``config.yaml`` and ``base.yaml``."""
     joints, wheels = _rl_sar_joints(config, names, where)
     gains = {"stiffness": config["rl_kp"], "damping": config["rl_kd"]}
     if config.get("torque_limits") is not None:
         gains["effort_limit"] = config["torque_limits"]
     step = (config["dt"], config["decimation"])
-    tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, **gains))
+    tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, wheels, **gains))
     tree["commands"] = _command(_FASTEST)
     report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
     tree |= _rl_sar_actions(config, joints, wheels, report)
@@ -165,9 +251,6 @@ def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list
         raise ConfigError(message, key="joint_names", where=where, expected=", ".join(names))
     joints = [listed[index] for index in config.get("joint_mapping") or range(len(listed))]
     wheels = [joints[index] for index in config.get("wheel_indices") or []]
-    if joints != [joint for joint in joints if joint not in wheels] + wheels:
-        message = "wheels and legs alternate in the actions"
-        raise RunDirectoryError(message, key="wheel_indices", where=where, expected="legs first")
     return joints, wheels
 
 
@@ -175,13 +258,11 @@ def _rl_sar_actions(config: Tree, joints: list[str], wheels: list[str], report: 
     """Return the actions, and ``clip_actions`` if all actions have the same bound."""
     scale = _by_joint(joints, config["action_scale"])
     low, high = (_by_joint(joints, config[f"clip_actions_{end}"]) for end in ("lower", "upper"))
-    legs = [joint for joint in joints if joint not in wheels]
     tree: Tree = {"actions": {}}
-    if legs:
-        tree["actions"]["joint_pos"] = _action("JointPositionAction", legs, scale={name: scale[name] for name in legs})
-    if wheels:
-        action = _action("JointVelocityAction", wheels, scale={name: scale[name] for name in wheels})
-        tree["actions"]["joint_vel"] = action
+    for are_wheels, group in groupby(joints, key=lambda joint: joint in wheels):  # in the order of the policy
+        moved, kind, name = list(group), *(("Velocity", "joint_vel") if are_wheels else ("Position", "joint_pos"))
+        name += f"_{len(tree['actions'])}" if name in tree["actions"] else ""
+        tree["actions"][name] = _action(f"Joint{kind}Action", moved, scale={joint: scale[joint] for joint in moved})
     bounds = {abs(bound) for bound in (*low.values(), *high.values())}
     if len(bounds) == 1:
         tree["clip_actions"] = bounds.pop()

@@ -140,7 +140,7 @@ def _convert(
             report.add("agent.yaml", DROPPED, "the settings of another library than rsl_rl")
             settings = None
         agent = convert_agent(settings, list(mapping.env["observations"]), weights, report)
-    except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, IndexError, ArithmeticError) as error:
         raise malformed(folder.config_file, error) from error
     return mapping, agent if clip is None else agent | {"clip_actions": clip}
 

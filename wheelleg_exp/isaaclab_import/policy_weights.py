@@ -32,6 +32,9 @@ _ACTIVATIONS = {
     "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
     "LeakyReLU": "lrelu", "Selu": "selu", "SELU": "selu", "Sigmoid": "sigmoid",
 }  # fmt: skip
+_COMMANDS = 3  # components of LimX's command
+_OFFSET, _ACTION_OFFSET = 8.0, 64.0  # above the absolute values of LimX's observations, and of actions
+_IDENTITY = ("elu", "relu", "lrelu")  # activations that do not change positive numbers
 _STORED = {
     "FloatStorage": torch.float32, "DoubleStorage": torch.float64, "HalfStorage": torch.float16,
     "LongStorage": torch.int64, "IntStorage": torch.int32, "BoolStorage": torch.bool,
@@ -92,12 +95,45 @@ def read_policy(path: Path) -> PolicyWeights:
         message = "the file is a pointer of Git LFS, not the policy"
         raise RunDirectoryError(message, key=str(path), expected="git lfs pull")
     try:
-        return _from_onnx(path) if path.suffix == ".onnx" else _tensors(path)
+        found = _from_onnx(path) if path.suffix == ".onnx" else _tensors(path)
+        encoder = path.with_name("encoder.onnx")
+        return _with_encoder(found, _from_onnx(encoder)) if encoder.is_file() else found
     except RunDirectoryError:
         raise
     except Exception as error:  # Damaged files raise many types of errors.
         message = "the policy cannot be read: the file is damaged, or no policy"
         raise RunDirectoryError(message, key=str(path), expected=_EXPECTED) from error
+
+
+def _with_encoder(policy: PolicyWeights, encoder: PolicyWeights) -> PolicyWeights:
+    """Return LimX's policy and its encoder as one network.
+
+    The policy observes the encoder's output, the newest observation, and the command; the encoder, successive
+    observations, the oldest first. The one network observes successive pairs of an observation and a command. Its
+    units next to the encoder's are x + offset > 0, which the activation does not change, for each x of the newest pair.
+    """
+    inner, outer = encoder.actor.layers, policy.actor.layers
+    width, code, actions = policy.actor.widths[0], encoder.actor.widths[1], policy.actor.widths[1]
+    seen = width - code - _COMMANDS
+    if encoder.activation != policy.activation or policy.activation not in _IDENTITY or encoder.actor.widths[0] % seen:
+        message = "the encoder does not read successive observations of the policy, with the policy's activation"
+        raise RunDirectoryError(message, key=str(encoder.path), expected="an encoder of LimX")
+    newest, frame = torch.eye(seen + _COMMANDS), seen + _COMMANDS
+    columns = torch.arange(encoder.actor.widths[0] // seen * frame).reshape(-1, frame)
+    first = torch.zeros(inner[0][0].shape[0], columns.numel())
+    first[:, columns[:, :seen].flatten()] = inner[0][0]
+    offset = torch.full((frame,), _OFFSET)
+    offset[seen - actions : seen] = _ACTION_OFFSET
+    beside = torch.zeros(frame, columns.numel())
+    beside[:, columns[-1]] = newest
+    layers = [(torch.cat((first, beside)), torch.cat((inner[0][1], offset)))]
+    layers += [
+        (torch.block_diag(weight, newest), torch.cat((bias, torch.zeros(frame)))) for weight, bias in inner[1:-1]
+    ]
+    (weight, bias), (ahead, constant) = inner[-1], outer[0]
+    last = torch.cat((ahead[:, :code] @ weight, ahead[:, code:]), 1)
+    layers += [(last, constant + ahead[:, :code] @ bias - ahead[:, code:] @ offset), *outer[1:]]
+    return PolicyWeights(policy.path, Network(layers), activation=policy.activation)
 
 
 def _tensors(path: Path) -> PolicyWeights:

@@ -17,8 +17,8 @@ _CHECKPOINT = re.compile(r"model_(\d+)\.pt")
 _POLICIES = ("policy.onnx", "policy.pt")
 _DESCRIPTORS = "IO_descriptors.yaml"  # Isaac Lab's description of observations and actions
 LFS = b"version https://git-lfs"
-_KINDS = ("env.yaml", "deploy.yaml", "config.yaml")  # of an Isaac Lab run, unitree_rl_lab, and rl_sar
-_EXPECTED = "an Isaac Lab run with params/env.yaml, or a folder with deploy.yaml or rl_sar's config.yaml"
+_KINDS = ("env.yaml", "deploy.yaml", "config.yaml", "params.yaml")  # of Isaac Lab, unitree_rl_lab, rl_sar, and LimX
+_EXPECTED = "an Isaac Lab run with params/env.yaml, or deploy.yaml, rl_sar's config.yaml, or LimX's params.yaml"
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,6 @@ def read_folder(path: Path, policy: Path | None = None) -> RunFolder:
     folder = path.parent if path.is_file() else path
     places = [path.name] if path.is_file() else [f"{below}{kind}" for kind in _KINDS for below in ("params/", "")]
     file = next((folder / place for place in places if (folder / place).is_file()), None)
-    if file is None and any(folder.glob("policy/**/encoder.onnx")):
-        message = "the policy reads the output of an encoder, as LimX's policies do"
-        raise RunDirectoryError(message, key=str(path), expected="a policy that is one multilayer perceptron")
     if file is None or file.name not in _KINDS:
         raise RunDirectoryError("the folder contains no run", key=str(path), expected=_EXPECTED)
     root = file.parent.parent if file.parent.name == "params" else file.parent
@@ -79,7 +76,7 @@ def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
     numbered = {int(found[1]): file for file in files if (found := _CHECKPOINT.fullmatch(file.name))}
     if numbered:
         return numbered[max(numbered)]
-    places = [root / below / name for below in ("exported", "") for name in _POLICIES]
+    places = [root / below / name for below in ("exported", "", "policy/isaaclab") for name in _POLICIES]
     named = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
     places += [root / Path(name).name for name in named if isinstance(name, str)]
     return next((place for place in places if place.is_file()), None)
@@ -102,7 +99,8 @@ def read_mapping(path: Path, expected: str = _EXPECTED) -> Tree:
 
 
 def malformed(path: Path, error: Exception) -> WheellegError:
-    """Return the error for a config whose values have other types than Isaac Lab writes."""
+    """Return the error for a config whose values have other types than its author writes."""
     text = " ".join(str(error).split())[:160]
-    message = f"the file does not have Isaac Lab's structure ({type(error).__name__}: {text})"
-    return RunDirectoryError(message, key=str(path), expected="the file as Isaac Lab wrote it")
+    message = f"the file does not have the usual structure ({type(error).__name__}: {text})"
+    expected = "the file as Isaac Lab, unitree_rl_lab, rl_sar, or LimX writes it"
+    return RunDirectoryError(message, key=str(path), expected=expected)

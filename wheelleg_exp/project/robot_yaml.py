@@ -258,7 +258,7 @@ standing_height: {number(facts.standing_height)}    # m, of the root link in the
 wheel_radius: {number(robot.facts.wheel_radius) if robot.wheels else "null"}    # m
 size: {number(robot.size)}    # m; height of the root link or of the centre of mass, whichever is larger
 mass: {number(facts.mass)}    # kg
-natural_speed: {number(_natural_speed(robot))}    # m/s; sqrt(gravity · size), at most the wheels' top speed
+natural_speed: {number(natural_speed(robot))}    # m/s; sqrt(gravity · size), at most the wheels' top speed
 leg_reach: {number(_leg_reach(robot), 3) if robot.legs else "null"}    # rad; rotation that drives and limits allow
 physics_dt: {number(control_dt / physics_steps, 17)}    # s
 decimation: {physics_steps}    # physics steps per control step: {1 / control_dt:.0f} Hz control
@@ -280,7 +280,8 @@ def spawn_height(robot: Survey) -> float:
     return round(math.ceil(height / _HEIGHT_STEP - 1e-6) * _HEIGHT_STEP, 6)
 
 
-def _natural_speed(robot: Survey) -> float:
+def natural_speed(robot: Survey) -> float:
+    """Return √(gravity · size), but at most the top speed of the wheels, m/s."""
     top = min((speed for speed in wheel_gains(robot).velocity.values()), default=math.inf) * robot.facts.wheel_radius
     return min(math.sqrt(robot.facts.gravity * robot.size), top or math.inf)
 

@@ -26,7 +26,8 @@ SIZES = {
     "leg_reach": 0.667,
 }
 # Each unit as powers of these keys. ``height`` and ``wheel`` are lengths in metres that grow with the standing height
-# and with the radius of the wheels; ``leg`` is a rotation of a leg joint in rad.
+# and with the radius of the wheels; ``leg`` is a rotation of a leg joint in rad. ``vx`` and ``wz`` are shares of the
+# largest forward speed and yaw rate that an evaluated run's task commands.
 _UNITS: Mapping[str, Mapping[str, int]] = {
     "m": {"size": 1},
     "s": {"size": 1, "natural_speed": -1},
@@ -37,6 +38,8 @@ _UNITS: Mapping[str, Mapping[str, int]] = {
     "height": {"standing_height": 1},
     "wheel": {"wheel_radius": 1},
     "leg": {"leg_reach": 1},
+    "vx": {"lin_vel_x": 1},
+    "wz": {"ang_vel_z": 1},
 }
 _LACKING = {"leg_reach": "leg joints", "wheel_radius": "wheels"}
 _FACTOR = re.compile(r"(?P<unit>[A-Za-z]+)(?P<power>[1-9]?)|1")
@@ -50,13 +53,13 @@ def sized(value: object, unit: str, *, _root_: DictConfig) -> object:
     """
     factor, powers = 1.0, _powers(str(unit))
     if OmegaConf.select(_root_, "env.robot.size") is None:
-        powers = {}
+        powers = {key: 1 for key in powers if OmegaConf.select(_root_, f"env.robot.{key}") and key not in SIZES}
     for key, power in powers.items():
         size = OmegaConf.select(_root_, f"env.robot.{key}")
         if not _is_size(size):
             lack = f"the robot has no {_LACKING[key]}: " if key in _LACKING else ""
             raise ValueError(f"{lack}env.robot.{key} is {size}, but a number in '{unit}' needs it")
-        factor *= (size / SIZES[key]) ** power
+        factor *= (size / SIZES.get(key, 1.0)) ** power
     return _times(value, factor)
 
 
@@ -85,10 +88,14 @@ def _times(value: object, factor: float) -> object:
 
 
 def robot_sizes(env: Mapping[str, object]) -> list[str]:
-    """Return overrides for a config without a robot: the sizes of the robot in the config section ``env``."""
-    robot = section_at(env, "robot")
+    """Return overrides for a config without a robot: the sizes and the largest commands of the config ``env``."""
+    robot, ranges = section_at(env, "robot"), section_at(env, "commands.base_velocity.ranges")
     keys = SIZES if _is_size(robot.get("size")) else ("standing_height",)
-    return [f"++env.robot.{key}={robot[key]!r}" for key in keys if _is_size(robot.get(key))]
+    sizes = {key: robot.get(key) for key in keys}
+    for key in ("lin_vel_x", "ang_vel_z"):
+        if isinstance(limits := ranges.get(key), list):
+            sizes[key] = max(map(abs, limits))
+    return [f"++env.robot.{key}={size!r}" for key, size in sizes.items() if _is_size(size)]
 
 
 def register() -> None:

@@ -1,0 +1,140 @@
+"""Write the table, the plot, and the pictures of docs/arena.md.
+
+    MUJOCO_GL=egl python docs/make_arena.py DETAILS
+
+DETAILS is a JSON file that maps a row's name to ``policy``, ``source``, ``licence``, ``trained``, ``proof``, and
+``run``, the run directory with evaluations of ``protocol=arena``; the newest of each test counts. The rows are added to
+``docs/tables/arena.json``, from which the page is written, also without arguments.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from make_robot_table import DOCS, picture
+
+from wheelleg_exp.files import dump_json, write_text
+from wheelleg_exp.jobs.saved_evaluation import RESULT, read_content
+from wheelleg_exp.run import run_config
+from wheelleg_exp.run.run_directory import RunDirectory
+
+ROWS, PAGE, PICTURES = DOCS / "tables" / "arena.json", DOCS / "arena.md", DOCS / "images" / "arena"
+START, END = "<!-- arena: written by docs/make_arena.py -->", "<!-- end of arena -->"
+# Title, metric, unit, factor, and whether the figure is divided by √(g·h), by the mass, or by the largest command.
+COLUMNS: tuple[tuple[str, str, str, float, str], ...] = (
+    ("stands 60 s", "stand/survival", " %", 100, ""),
+    ("creep", "stand/drift_speed", " mm/s", 1e3, ""),
+    ("drives", "walk/survival", " %", 100, ""),
+    ("gain of the speed", "walk/gain_vx", "", 1, ""),
+    ("gain of the yaw rate", "walk/gain_wz", "", 1, ""),
+    ("stop distance", "steps/stop_distance_vx", " mm", 1e3, ""),
+    ("kick, worst of 8", "push/limit_worst_0s", " √(g·h)", 1, "speed"),
+    ("push of 0.15 s", "push/limit_worst_0.15s", " √(g·h)", 1, "speed"),
+    ("delay", "robust/margin/delay", " ms", 1e3, ""),
+    ("noise", "robust/margin/noise", "", 1, ""),
+    ("friction 0.2", "robust/friction/0.2/survival", " %", 100, ""),
+    ("slope", "robust/margin/slope", "°", 180 / math.pi, ""),
+    ("payload", "robust/margin/payload", " %", 100, "mass"),
+    ("step up", "terrain/levels_passed/step_up", " r", 0.25, ""),
+    ("step down", "terrain/levels_passed/step_down", " r", 0.25, ""),
+    ("cost of transport", "walk/cost_of_transport_net", "", 1, ""),
+    ("chatter", "walk/fast_power_share", " %", 100, ""),
+)
+# The figures of the plot, each with the value that reaches the right edge.
+DOTS = {
+    "drives": 100,
+    "kick, worst of 8": 2,
+    "push of 0.15 s": 2.5,
+    "delay": 100,
+    "slope": 29,
+    "payload": 400,
+    "step up": 1.5,
+}
+
+
+def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with the metrics of a run's newest evaluations with the protocol."""
+    env, _ = run_config.load_params(run)
+    found = [read_content(path.parent) for path in sorted(run.evaluation.glob(f"*/{RESULT}"))]
+    metrics = dict[str, Any]()
+    for content in found:
+        if content["protocol"]["name"] == "arena":
+            metrics |= content["metrics"]
+    robot, ranges = env["robot"], env["commands"]["base_velocity"]["ranges"]
+    return {
+        **{key: value for key, value in details.items() if key != "run"},
+        "mass": content["about"]["mass_kg"],
+        "size": robot.get("size") or details.get("size"),  # old run directories lack it
+        "commands": [max(map(abs, ranges[axis])) for axis in ("lin_vel_x", "ang_vel_z")],
+        "figures": {
+            metric: [metrics[metric][part] for part in ("value", "low", "high")]
+            for _, metric, *_ in COLUMNS
+            if metrics.get(metric, {}).get("value") is not None
+        },
+    }
+
+
+def figures(row: Mapping[str, Any], column: tuple[str, str, str, float, str]) -> list[float]:
+    """Return a figure of a row in the unit of its column, and the ends of its interval; empty if it is missing."""
+    _, metric, _, factor, by = column
+    divisor = {"": 1.0, "mass": row["mass"], "speed": math.sqrt(9.81 * row["size"]) if row["size"] else math.nan}[by]
+    return [factor * value / divisor for value in row["figures"].get(metric, [])]
+
+
+def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the table of all rows, and their details."""
+    titles = ["", "policy", "kg", "h, m", "commands", "proof", *(column[0] for column in COLUMNS)]
+    lines = [titles, ["---"] * len(titles)]
+    for name, row in rows.items():
+        cells = [f"![{row['policy']}](images/arena/{name}.png)", row["policy"], f"{row['mass']:.3g}"]
+        cells.append("–" if row["size"] is None else f"{row['size']:.2g}")
+        cells += ["{:.3g} m/s, {:.3g} rad/s".format(*row["commands"]), row["proof"]]
+        for column in COLUMNS:
+            found = figures(row, column)
+            value, low, high = (f"{one:.2g}" if abs(one) < 100 else f"{one:.0f}" for one in found) if found else "–  "
+            spread = f" ({low}…{high})" if low != high else ""
+            cells.append(f"{value}{column[2]}{spread}" if found else "–")
+        lines.append(cells)
+    text = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    about = "".join(f"- **{r['policy']}**: {r['source']}, {r['licence']}; {r['trained']}.\n" for r in rows.values())
+    return f"![Figures of all policies](images/arena/dots.png)\n\n{text}\n{about}"
+
+
+def plot(rows: Mapping[str, Mapping[str, Any]]) -> None:
+    """Draw one row of dots per property, further to the right is better, in one colour per policy."""
+    columns = [column for column in COLUMNS if column[0] in DOTS]
+    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+    for place, row in enumerate(rows.values()):
+        shown = [(figures(row, column) or [math.nan])[0] / DOTS[column[0]] for column in columns]
+        heights = [index + 0.06 * (place - len(rows) / 2) for index in range(len(columns))]
+        axes.plot(shown, heights, "o", markersize=6, label=row["policy"])
+    axes.set_yticks(range(len(columns)), [f"{c[0]}, up to {DOTS[c[0]]:g}{c[2]}" for c in columns])
+    axes.invert_yaxis()
+    axes.set_xlim(-0.03, 1.1)
+    axes.set_xticks([])
+    axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+    PICTURES.mkdir(exist_ok=True)
+    figure.savefig(PICTURES / "dots.png", dpi=110)
+
+
+def main(words: list[str]) -> None:
+    """Add the rows of the given runs, draw their robots, and write the page."""
+    rows: dict[str, Any] = json.loads(ROWS.read_text()) if ROWS.is_file() else {}
+    for name, details in (json.loads(Path(words[0]).read_text()) if words else {}).items():
+        run = RunDirectory(Path(details["run"]))
+        rows[name] = row_of(run, details)
+        picture(run, PICTURES / f"{name}.png")
+    write_text(ROWS, dump_json(rows) + "\n")
+    plot(rows)
+    before, rest = PAGE.read_text().split(START)
+    write_text(PAGE, f"{before}{START}\n{table(rows)}{END}{rest.split(END)[1]}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
