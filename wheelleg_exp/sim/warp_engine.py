@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -123,7 +124,7 @@ class WarpEngine(Engine):
             self.device = torch.device("cuda", self.device.index or 0)
         self.dtype = torch.float32
         self.nthread = 1
-        self.exact = self.device.type == "cpu"
+        self.exact = self.device.type == "cpu" or options.deterministic
         self.expanded = {}
         self.asked = set()
         wp, mjw = load(self.device)
@@ -142,6 +143,12 @@ class WarpEngine(Engine):
         while most < 2 * slots:
             most *= 2
         self._m.opt.contact_sensor_maxmatch = most
+        self._in_order: Callable[[], AbstractContextManager[None]] = nullcontext
+        if options.deterministic:
+            from wheelleg_exp.sim.warp_order import FixedOrder
+
+            with self._graphs.here():
+                self._in_order = FixedOrder(model, self._m, self._d).active
         self._data = DataFields(wp, self._d, model)
         self._fields = ModelFields(wp, self._m, model, num_envs)
         self._state = self._data.state()
@@ -224,7 +231,8 @@ class WarpEngine(Engine):
         self._overflow.require_none(self._d)
 
     def _advance(self) -> None:
-        self._mjw.step(self._m, self._d)
+        with self._in_order():
+            self._mjw.step(self._m, self._d)
         if self._current:
             self._derive()
 
