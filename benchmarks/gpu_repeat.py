@@ -129,7 +129,7 @@ def trajectories(engine: WarpEngine, state: Mapping[str, Any], steps: int, repea
     contacts = torch.zeros(steps, dtype=torch.long, device=ctrl.device)
     for run in range(2):
         engine.load_state_dict(state)
-        for index in range(10):  # Compile and capture first.
+        for _ in range(10):  # Compile and capture first.
             engine.step()
         engine.load_state_dict(state)
         torch.cuda.synchronize() if ctrl.is_cuda else None

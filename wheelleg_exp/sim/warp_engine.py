@@ -15,7 +15,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import RobotOptions, SimOptions
-from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
+from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model, repeat_torch
 
 # By default, the contact buffer has room for 24 contacts per simulation; a robot that lies on the ground has about 12.
 _CONTACTS = 24
@@ -105,8 +105,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    It agrees with MuJoCo to single precision. Runs are bit-reproducible on the CPU, but not on a GPU, where the order
-    of contacts and sums varies. Raise ConfigError if a package or device is missing, or the model is not supported.
+    It agrees with MuJoCo to single precision. Runs are bit-reproducible on the CPU. On a GPU, the order of contacts and
+    sums varies, unless ``SimOptions.deterministic`` is set. Raise ConfigError if a package or device is missing, or the
+    model is not supported.
     """
 
     name = "warp"
@@ -145,6 +146,8 @@ class WarpEngine(Engine):
         self._m.opt.contact_sensor_maxmatch = most
         self._in_order: Callable[[], AbstractContextManager[None]] = nullcontext
         if options.deterministic:
+            if self.device.type == "cuda":
+                repeat_torch()
             from wheelleg_exp.sim.warp_order import FixedOrder
 
             with self._graphs.here():
@@ -196,7 +199,8 @@ class WarpEngine(Engine):
 
     def promise(self) -> dict[str, object]:
         found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
-        return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
+        because = "the order of contacts and sums differs from run to run without env.sim.deterministic=true"
+        return {**found, "because": None if self.exact else because}
 
     def expand(self, name: str) -> torch.Tensor:
         self.asked.add(name)

@@ -1,3 +1,4 @@
+# ruff: noqa: ARG001, UP018  (kernels have fixed parameters; Warp needs float() for variables that loops change)
 """A fixed order of contacts, constraint rows, and sums in mujoco-warp, so that a GPU repeats a simulation to the bit.
 
 mujoco-warp 4.0.0 gives each contact and each constraint row the next free slot of a buffer, in the order in which the
@@ -22,6 +23,10 @@ from wheelleg_exp.errors import ConfigError
 
 # Do not import annotations from __future__ here, because Warp reads annotations as types, not as strings.
 wp.set_module_options({"enable_backward": False})
+
+Ints, Ints2, Ints3, Bools, Geoms = wp.array[int], wp.array2d[int], wp.array3d[int], wp.array[bool], wp.array[wp.vec2i]
+Floats, Floats2, Floats3, Fives = wp.array[float], wp.array2d[float], wp.array3d[float], wp.array[types.vec5]
+Pairs, Vectors, Frames = wp.array[wp.vec2], wp.array[wp.vec3], wp.array[wp.mat33]
 
 KEY = "env.sim.deterministic"
 _VERSION = "4.0.0"
@@ -75,7 +80,7 @@ class FixedOrder:
             (collision_driver, "_narrowphase", self._narrowphase),
             (constraint, "_sort_constraints", _sort_constraints),
             (constraint, "_efc_contact_init", lambda cone, *_: _contact_rows(cone == types.ConeType.ELLIPTIC)),
-            (solver, "_use_incremental", lambda m: False),  # Its sums are in the order in which rows change state.
+            (solver, "_use_incremental", lambda _: False),  # Its sums are in the order in which rows change state.
             (solver, "_update_gradient_grad", lambda *_: _gradient),
             (solver, "_update_gradient_JTCJ_dense", lambda *_: _cone_hessian),
             (sensor, "_contact_sort", lambda *_: _sort_matches),
@@ -99,30 +104,18 @@ class FixedOrder:
         self._first.fill_(-1)
         self._count.zero_()
         self._used.zero_()
-        found = [getattr(self._found, name) for name in _MOVED]
-        wp.launch(
-            _link,
-            dim=d.naconmax,
-            inputs=[d.nacon, self._found.worldid],
-            outputs=[self._first, self._count, self._next],
-        )
-        wp.launch(_reserve, dim=d.nworld, inputs=[self._count], outputs=[self._used, self._start])
-        wp.launch(
-            _place,
-            dim=d.naconmax,
-            inputs=[d.nacon, self._first, self._next, self._start, *found],
-            outputs=[*(getattr(d.contact, name) for name in _MOVED), d.contact.efc_address],
-        )
+        lists = [self._first, self._count, self._next]
+        wp.launch(_link, dim=d.naconmax, inputs=[d.nacon, self._found.worldid, *lists])
+        wp.launch(_reserve, dim=d.nworld, inputs=[self._count, self._used, self._start])
+        found, placed = ([getattr(contact, name) for name in _MOVED] for contact in (self._found, d.contact))
+        inputs = [d.nacon, self._first, self._next, self._start, *found, *placed, d.contact.efc_address]
+        wp.launch(_place, dim=d.naconmax, inputs=inputs)
 
 
+# fmt: off
 @wp.kernel
-def _link(
-    nacon: wp.array[int],
-    world: wp.array[int],
-    first: wp.array[int],
-    count: wp.array[int],
-    following: wp.array[int],
-) -> None:
+def _link(nacon: Ints, world: Ints, first: Ints, count: Ints, following: Ints) -> None:
+    # fmt: on
     """Make a linked list of the contacts of each simulation, in any order, and count them."""
     contact = wp.tid()
     if contact < wp.min(nacon[0], world.shape[0]):
@@ -131,48 +124,23 @@ def _link(
 
 
 @wp.kernel
-def _reserve(count: wp.array[int], used: wp.array[int], start: wp.array[int]) -> None:
+def _reserve(count: Ints, used: Ints, start: Ints) -> None:
     """Reserve consecutive slots for the contacts of each simulation; no result depends on which ones."""
     world = wp.tid()
     start[world] = wp.atomic_add(used, 0, count[world])
 
 
+# fmt: off
 @wp.kernel
 def _place(
-    nacon: wp.array[int],
-    first: wp.array[int],
-    following: wp.array[int],
-    start: wp.array[int],
-    dist: wp.array[float],
-    pos: wp.array[wp.vec3],
-    frame: wp.array[wp.mat33],
-    includemargin: wp.array[float],
-    friction: wp.array[types.vec5],
-    solref: wp.array[wp.vec2],
-    solreffriction: wp.array[wp.vec2],
-    solimp: wp.array[types.vec5],
-    dim: wp.array[int],
-    geom: wp.array[wp.vec2i],
-    world: wp.array[int],
-    kind: wp.array[int],
-    number: wp.array[int],
-    adhesion: wp.array[float],
-    dist_out: wp.array[float],
-    pos_out: wp.array[wp.vec3],
-    frame_out: wp.array[wp.mat33],
-    includemargin_out: wp.array[float],
-    friction_out: wp.array[types.vec5],
-    solref_out: wp.array[wp.vec2],
-    solreffriction_out: wp.array[wp.vec2],
-    solimp_out: wp.array[types.vec5],
-    dim_out: wp.array[int],
-    geom_out: wp.array[wp.vec2i],
-    world_out: wp.array[int],
-    kind_out: wp.array[int],
-    number_out: wp.array[int],
-    adhesion_out: wp.array[float],
-    efc_address_out: wp.array2d[int],
+    nacon: Ints, first: Ints, following: Ints, start: Ints, dist: Floats, pos: Vectors, frame: Frames,
+    includemargin: Floats, friction: Fives, solref: Pairs, solreffriction: Pairs, solimp: Fives, dim: Ints,
+    geom: Geoms, world: Ints, kind: Ints, number: Ints, adhesion: Floats, dist_out: Floats, pos_out: Vectors,
+    frame_out: Frames, includemargin_out: Floats, friction_out: Fives, solref_out: Pairs, solreffriction_out: Pairs,
+    solimp_out: Fives, dim_out: Ints, geom_out: Geoms, world_out: Ints, kind_out: Ints, number_out: Ints,
+    adhesion_out: Floats, efc_address_out: Ints2,
 ) -> None:
+    # fmt: on
     """Copy each contact to its place among the contacts of its simulation.
 
     The order is that of the first geom, the second geom, and the contact's number within this pair of geoms.
@@ -207,7 +175,7 @@ def _place(
 
 
 @wp.func
-def _is_first(contact: int, world: wp.array[int]) -> bool:
+def _is_first(contact: int, world: Ints) -> bool:
     """Return whether a contact is the first one of its simulation."""
     if contact == 0:
         return True
@@ -221,34 +189,15 @@ def _is_first(contact: int, world: wp.array[int]) -> bool:
 def _contact_rows(elliptic: bool) -> Any:
     """Return the kernel that numbers the constraint rows of contacts; one thread per simulation works."""
 
+    # fmt: off
     @wp.kernel(module="unique", enable_backward=False)
     def contact_rows(
-        body_weldid: wp.array[int],
-        body_dofnum: wp.array[int],
-        body_dofadr: wp.array[int],
-        dof_parentid: wp.array[int],
-        geom_bodyid: wp.array[int],
-        njmax: int,
-        njmax_nnz: int,
-        nacon: wp.array[int],
-        dist: wp.array[float],
-        condim: wp.array[int],
-        includemargin: wp.array[float],
-        adhesion: wp.array[float],
-        world_of: wp.array[int],
-        geom: wp.array[wp.vec2i],
-        kind: wp.array[int],
-        nefc: wp.array[int],
-        efc_address: wp.array2d[int],
-        efc_id: wp.array2d[int],
-        jtdaj_adr: wp.array2d[int],
-        jtdaj_nrow: wp.array2d[int],
-        jtdaj_nblock: wp.array[int],
-        J_rownnz: wp.array2d[int],
-        J_rowadr: wp.array2d[int],
-        Jqvel: wp.array2d[float],
-        efc_nnz: wp.array[int],
+        body_weldid: Ints, body_dofnum: Ints, body_dofadr: Ints, dof_parentid: Ints, geom_bodyid: Ints, njmax: int,
+        njmax_nnz: int, nacon: Ints, dist: Floats, condim: Ints, includemargin: Floats, adhesion: Floats,
+        world_of: Ints, geom: Geoms, kind: Ints, nefc: Ints, efc_address: Ints2, efc_id: Ints2, jtdaj_adr: Ints2,
+        jtdaj_nrow: Ints2, jtdaj_nblock: Ints, J_rownnz: Ints2, J_rowadr: Ints2, Jqvel: Floats2, efc_nnz: Ints,
     ) -> None:
+        # fmt: on
         first = wp.tid()
         count = wp.min(nacon[0], world_of.shape[0])
         if first >= count:
@@ -275,16 +224,13 @@ def _contact_rows(elliptic: bool) -> Any:
     return contact_rows
 
 
+# fmt: off
 @wp.kernel
 def _gradient(
-    qfrc_smooth: wp.array2d[float],
-    qfrc_constraint: wp.array2d[float],
-    efc_Ma: wp.array2d[float],
-    state_changed_count: wp.array[int],
-    done: wp.array[bool],
-    grad: wp.array2d[float],
-    grad_dot: wp.array[float],
+    qfrc_smooth: Floats2, qfrc_constraint: Floats2, efc_Ma: Floats2, state_changed_count: Ints, done: Bools,
+    grad: Floats2, grad_dot: Floats,
 ) -> None:
+    # fmt: on
     """Compute the solver's gradient; the thread of the first degree of freedom adds the squares."""
     world, dof = wp.tid()
     if done[world]:
@@ -298,28 +244,14 @@ def _gradient(
         grad_dot[world] = total
 
 
+# fmt: off
 @wp.kernel
 def _cone_hessian(
-    impratio_invsqrt: wp.array[float],
-    dof_tri_row: wp.array[int],
-    dof_tri_col: wp.array[int],
-    dist: wp.array[float],
-    includemargin: wp.array[float],
-    friction: wp.array[types.vec5],
-    condim: wp.array[int],
-    efc_address: wp.array2d[int],
-    world_of: wp.array[int],
-    J: wp.array3d[float],
-    D: wp.array2d[float],
-    state: wp.array2d[int],
-    naconmax: int,
-    nacon: wp.array[int],
-    Jaref: wp.array2d[float],
-    done: wp.array[bool],
-    passes: int,
-    threads: int,
-    h: wp.array3d[float],
+    impratio_invsqrt: Floats, dof_tri_row: Ints, dof_tri_col: Ints, dist: Floats, includemargin: Floats,
+    friction: Fives, condim: Ints, efc_address: Ints2, world_of: Ints, J: Floats3, D: Floats2, state: Ints2,
+    naconmax: int, nacon: Ints, Jaref: Floats2, done: Bools, passes: int, threads: int, h: Floats3,
 ) -> None:
+    # fmt: on
     """Add the curvature of friction cones to an entry of the Hessian; one thread adds all contacts of a simulation."""
     start, entry = wp.tid()
     one, two = dof_tri_row[entry], dof_tri_col[entry]
@@ -361,29 +293,19 @@ def _cone_hessian(
                     dot += z1 * z2
             inverse = math.safe_div(1.0, wp.max(wp.sqrt(tt), types.MJ_MINVAL))
             ratio = mu * Jaref[world, normal] * mu * inverse
+            z01, z02 = mu * J[world, normal, one], mu * J[world, normal, two]
             total += solver._elliptic_hessian_entry_from_projections(
-                dm,
-                mu,
-                ratio,
-                mu * mu - ratio,
-                mu * J[world, normal, one],
-                mu * J[world, normal, two],
-                sum1 * inverse,
-                sum2 * inverse,
-                dot,
+                dm, mu, ratio, mu * mu - ratio, z01, z02, sum1 * inverse, sum2 * inverse, dot
             )
         h[world, one, two] = h[world, one, two] + total
 
 
+# fmt: off
 @wp.kernel
 def _sort_matches(
-    sensor_intprm: wp.array2d[int],
-    sensor_adr: wp.array[int],
-    nmatch: wp.array2d[int],
-    match: wp.array3d[int],
-    criterion: wp.array3d[float],
-    match_out: wp.array3d[int],
+    sensor_intprm: Ints2, sensor_adr: Ints, nmatch: Ints2, match: Ints3, criterion: Floats3, match_out: Ints3,
 ) -> None:
+    # fmt: on
     """Sort the contacts of a sensor in place, by the sensor's criterion and then by the order of the contacts.
 
     ``match_out`` is ``match``. The complement of a contact's number stands for a contact in the other direction.
@@ -417,23 +339,13 @@ def _swap(values: wp.array2d[Any], world: int, a: int, b: int):  # type: ignore[
     values[world, b] = kept
 
 
+# fmt: off
 @wp.kernel
 def _sort_rows(
-    ne: wp.array[int],
-    nf: wp.array[int],
-    nl: wp.array[int],
-    njmax: int,
-    nv: int,
-    kind: wp.array2d[int],
-    number: wp.array2d[int],
-    pos: wp.array2d[float],
-    margin: wp.array2d[float],
-    D: wp.array2d[float],
-    vel: wp.array2d[float],
-    aref: wp.array2d[float],
-    frictionloss: wp.array2d[float],
-    J: wp.array3d[float],
+    ne: Ints, nf: Ints, nl: Ints, njmax: int, nv: int, kind: Ints2, number: Ints2, pos: Floats2, margin: Floats2,
+    D: Floats2, vel: Floats2, aref: Floats2, frictionloss: Floats2, J: Floats3,
 ) -> None:
+    # fmt: on
     """Sort the rows of one simulation by insertion; several rows of one object keep their order."""
     world = wp.tid()
     for i in range(1, wp.min(ne[world] + nf[world] + nl[world], njmax)):
