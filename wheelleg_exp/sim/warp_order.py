@@ -301,7 +301,7 @@ def _cone_hessian(
 
 
 # fmt: off
-@wp.kernel
+@wp.kernel(module="unique", enable_backward=False)  # Its blocks have another size, so that it needs its own module.
 def _sort_matches(
     sensor_intprm: Ints2, sensor_adr: Ints, nmatch: Ints2, match: Ints3, criterion: Floats3, match_out: Ints3,
 ) -> None:
