@@ -9,7 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "wheelleg_exp"
 FILES = sorted(path for part in ("sim", "managers", "mdp", "env") for path in (PACKAGE / part).rglob("*.py"))
 PHYSX = {"sim/physx/physx_engine.py", "sim/physx/physx_stage.py"}
-WARP = {"sim/warp_engine.py", "sim/warp_runtime.py"}
+WARP = {"sim/warp_engine.py", "sim/warp_order.py", "sim/warp_runtime.py"}
 ENGINES = {"sim/batch_engine.py", *PHYSX, *WARP}  # A physics engine knows its own device.
 
 FACTORIES = frozenset(

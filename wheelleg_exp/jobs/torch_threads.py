@@ -57,6 +57,7 @@ def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = 
         "physics": physics_threads,
         "cpu_capability": torch.backends.cpu.get_cpu_capability(),
         "device": device,
+        **_gpu_facts(),
         "variables_in_time": all(_in_time),
         "mkl": mkl,
         "matmul": chosen_matmul(agent),
@@ -117,6 +118,18 @@ def numerics() -> dict[str, object]:
         "rounds_to_nearest": bool(to_nearest),
         "keeps_denormals": bool(keeps_tiny) and (torch.tensor(1e-40) * 1.0).item() > 0.0,
     }
+
+
+_DRIVER = Path("/proc/driver/nvidia/version")
+
+
+def _gpu_facts() -> dict[str, object]:
+    """Return the model and the driver version of the GPU that this process uses; {} without a GPU."""
+    if not torch.cuda.is_initialized():
+        return {}
+    text = _DRIVER.read_text(encoding="utf-8", errors="replace") if _DRIVER.is_file() else ""
+    version = re.search(r"\d+(\.\d+)+", text)
+    return {"gpu": torch.cuda.get_device_name(), "gpu_driver": version and version[0]}
 
 
 def _largest_mean(agent: Learning, samples: int | None) -> int:

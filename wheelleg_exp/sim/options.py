@@ -22,7 +22,7 @@ class EngineKind:
     Attributes:
         target: path of the class, a subclass of ``wheelleg_exp.sim.engine.Engine``.
         devices: regular expression of the devices on which it runs.
-        exact_devices: regular expression of the devices on which it is bit-reproducible.
+        exact_devices: regular expression of the devices on which it can be bit-reproducible.
         inexact: why it is not bit-reproducible on other devices, as the end of a sentence.
         reads_robot_file: whether it reads the robot's file, and not only the compiled model.
     """
@@ -42,7 +42,7 @@ ENGINES = {
     "warp": EngineKind(
         "wheelleg_exp.sim.warp_engine.WarpEngine",
         devices=r"cpu|cuda(:\d+)?",
-        inexact="is not bit-reproducible on a GPU, even with mujoco-warp's own opt.deterministic",
+        exact_devices=".*",
         packages=("warp", "mujoco_warp"),
         install="pip install 'wheelleg_exp[gpu]'",
         solvers=("newton", "cg"),
@@ -112,7 +112,8 @@ class SimOptions:
         graph: engine ``warp`` on a GPU: launch a physics step as one CUDA graph, which changes no number.
         graph_step: engine ``warp`` on a GPU: launch the torch operations of a control step (actions, rewards, resets,
             commands, observations) as CUDA graphs. docs/gpu.md lists the requirements for terms.
-        deterministic: refuse engines that are not bit-reproducible: ``warp`` on a GPU, and ``physx``.
+        deterministic: require bit-reproducible results. The engine ``warp`` then computes in a fixed order, which is
+            slower; on a GPU, torch does as well, and raises an error where it cannot. ``physx`` is refused.
     """
 
     engine: Literal["mujoco", "warp", "physx"] | Node

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,7 @@ import torch
 from wheelleg_exp.errors import ConfigError, SimulationFailure
 from wheelleg_exp.sim.engine import Engine
 from wheelleg_exp.sim.options import RobotOptions, SimOptions
-from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model
+from wheelleg_exp.sim.warp_runtime import ENGINE, Graphs, load, put_model, repeat_torch
 
 # By default, the contact buffer has room for 24 contacts per simulation; a robot that lies on the ground has about 12.
 _CONTACTS = 24
@@ -104,8 +105,9 @@ _MOTION = ("qpos", "qvel")
 class WarpEngine(Engine):
     """N simulations on mujoco-warp.
 
-    It agrees with MuJoCo to single precision. Runs are bit-reproducible on the CPU, but not on a GPU, where the order
-    of contacts and sums varies. Raise ConfigError if a package or device is missing, or the model is not supported.
+    It agrees with MuJoCo to single precision. Runs are bit-reproducible on the CPU. On a GPU, the order of contacts and
+    sums varies, unless ``SimOptions.deterministic`` is set. Raise ConfigError if a package or device is missing, or the
+    model is not supported.
     """
 
     name = "warp"
@@ -123,7 +125,7 @@ class WarpEngine(Engine):
             self.device = torch.device("cuda", self.device.index or 0)
         self.dtype = torch.float32
         self.nthread = 1
-        self.exact = self.device.type == "cpu"
+        self.exact = self.device.type == "cpu" or options.deterministic
         self.expanded = {}
         self.asked = set()
         wp, mjw = load(self.device)
@@ -142,6 +144,14 @@ class WarpEngine(Engine):
         while most < 2 * slots:
             most *= 2
         self._m.opt.contact_sensor_maxmatch = most
+        self._in_order: Callable[[], AbstractContextManager[None]] = nullcontext
+        if options.deterministic:
+            if self.device.type == "cuda":
+                repeat_torch()
+            from wheelleg_exp.sim.warp_order import FixedOrder
+
+            with self._graphs.here():
+                self._in_order = FixedOrder(model, self._m, self._d).active
         self._data = DataFields(wp, self._d, model)
         self._fields = ModelFields(wp, self._m, model, num_envs)
         self._state = self._data.state()
@@ -189,7 +199,8 @@ class WarpEngine(Engine):
 
     def promise(self) -> dict[str, object]:
         found = {**super().promise(), "nconmax": self.room.contacts, "njmax": self.room.rows}
-        return {**found, "because": None if self.exact else "the order of contacts and sums differs from run to run"}
+        because = "the order of contacts and sums differs from run to run without env.sim.deterministic=true"
+        return {**found, "because": None if self.exact else because}
 
     def expand(self, name: str) -> torch.Tensor:
         self.asked.add(name)
@@ -224,7 +235,8 @@ class WarpEngine(Engine):
         self._overflow.require_none(self._d)
 
     def _advance(self) -> None:
-        self._mjw.step(self._m, self._d)
+        with self._in_order():
+            self._mjw.step(self._m, self._d)
         if self._current:
             self._derive()
 

@@ -53,6 +53,17 @@ def load(device: torch.device) -> tuple[ModuleType, ModuleType]:
     return wp, mjw
 
 
+def repeat_torch() -> None:
+    """Make torch and cuBLAS compute in a fixed order on GPUs, in this process; torch raises an error where it cannot.
+
+    cuBLAS reads its variable when torch first multiplies matrices, so call this function before.
+    """
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+    torch.use_deterministic_algorithms(True)
+    # Do not fill each new tensor with NaN, because this takes time.
+    setattr(torch.utils.deterministic, "fill_uninitialized_memory", False)  # noqa: B010  # not annotated by torch
+
+
 def require_device(device: torch.device) -> None:
     """Raise ConfigError if a device does not exist on the present machine."""
     if device.type == "cpu":

@@ -30,7 +30,7 @@ from wheelleg_exp.terms.key_syntax import Keys
 # ``_HARMLESS`` settings change files, speed, or buffer sizes, but no computed number.
 _HARMLESS: tuple[Keys, ...] = (
     *(("agent", key) for key in ("max_iterations", "save_interval", "max_non_finite", "torch_threads", "logger")),
-    *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph", "deterministic")),
+    *(("env", "sim", key) for key in ("nthread", "nconmax", "njmax", "graph")),
     # Terms refer to these names and sizes of the robot, so that each effect is a difference of a term, too.
     *(("env", "robot", key) for key in ("joint_sets", "body_sets", "standing_height", "wheel_radius")),
     ("recording",),
@@ -132,7 +132,7 @@ _ALLOWING: dict[str, dict[str, str]] = {
     "versions": {name: f"another {name}" for name in ("torch", MUJOCO, "numpy")},
     "threads": {
         "cpu_capability": "other vector instructions",
-        "device": "another device",
+        **dict.fromkeys(("device", "gpu", "gpu_driver"), "another device or driver"),
         "mkl": "other kernels of the matrix library",
         "matmul": "other products in the update (agent.matmul)",
     },

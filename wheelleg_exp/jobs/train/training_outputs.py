@@ -255,10 +255,11 @@ def checkpoint_due(iteration: int, agent: Learning) -> bool:
 
 def digested(trainer: Trainer, state: dict[str, object], due: bool) -> dict[str, object]:
     """Return the part of the training state that is hashed for the run's log."""
-    # Hash the whole training state if a checkpoint is due or if the physics engine is bitwise reproducible.
+    # Hash the whole training state if a checkpoint is due or if the physics engine is bitwise reproducible on the CPU.
     # If the physics engine is not reproducible, hash only the networks, because no run can reproduce the whole state.
-    # On a GPU, hashing the whole state takes longer than a training iteration.
-    return state if due or trainer.env.env.scene.sim.exact else digests.networks(state)
+    # On a GPU, hash only the networks, too, because hashing the whole state takes longer than a training iteration.
+    engine = trainer.env.env.scene.sim
+    return state if due or (engine.exact and engine.device.type == "cpu") else digests.networks(state)
 
 
 def summary(scalars: Mapping[str, object]) -> dict[str, object]:
