@@ -17,8 +17,8 @@ def parts(n: int = 1) -> RobotParts:
     index = torch.tensor
     return RobotParts(
         joint_names=("hip_a", "hip_b", "roll_a", "roll_b"), wheels=index([2, 3]), contacts="contacts",
-        wheel_bodies=index([0, 1]), wheel_radius=index([0.02, 0.02]), wheel_offsets=index([0.1, -0.1]),
-        left=index([0]), right=index([1]),
+        wheel_bodies=index([0, 1]), wheel_links=index([[0], [1]]), wheel_radius=index([0.02, 0.02]),
+        wheel_offsets=index([0.1, -0.1]), left=index([0]), right=index([1]),
         sign=index([-1.0]), groups={"hips": index([0, 1]), "wheels": index([2, 3])}, mass=0.5, gravity=9.81,
         effort_limit=index([[2.0, 2.0, 10.0, 10.0]]).expand(n, 4),
     )  # fmt: skip

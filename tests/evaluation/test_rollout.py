@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -198,6 +199,16 @@ def changed(task) -> dict[tuple[str, float], Env]:
     wanted = ("nominal", "friction", "impratio", "mass", "com", "gains", "noise")
     found = [world for world in worlds(cfg, options.robust) if world.sweep in wanted]
     return {(world.sweep, world.value): build(world.env, task[1], 1) for world in found}
+
+
+def test_a_wheel_with_a_fixed_tire_touches_the_ground_by_its_tire(task, tmp_path):
+    text = task[1].read_text()
+    tire = re.compile(r'<geom name="(._wheel_link)_cylinder"[^>]*/>')
+    assert len(tire.findall(text)) == 2
+    robot = tmp_path / "model.xml"
+    robot.write_text(tire.sub(lambda found: f'<body name="{found[1]}_tire">{found[0]}</body>', text))
+    made = rollout((task[0], robot), Scenarios("stand", 0.5, (0.0,), (((0.0, 0.0, 0.0),),), ("stand",), 1))
+    assert made.roll(zeros(made.env), 1).down[6:18].all()  # The robot first falls by some millimetres.
 
 
 def test_each_world_differs_in_the_property_of_its_name(changed):

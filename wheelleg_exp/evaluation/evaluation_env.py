@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -92,7 +92,8 @@ class RobotParts:
 
     ``wheels`` (W,) are the joints of driven wheels that carry the robot, and ``wheel_radius`` (W,) are their radii, m.
     ``contacts`` is the name of a contact sensor on every body; ``wheel_bodies`` (W,) are body indices in its data and
-    in the robot's data. ``wheel_offsets`` (W,) are the wheels' y coordinates in the base's axes, m; None if the robot
+    in the robot's data; ``wheel_links`` (W, L) also has the links fixed to them, such as tires, and fills shorter rows
+    with repetitions. ``wheel_offsets`` (W,) are the wheels' y coordinates in the base's axes, m; None if the robot
     has no forward direction. ``left`` (P,) and ``right`` (P,) are driven leg joints: the image of ``left`` at q is
     ``right`` at ``sign`` · q. ``groups`` maps each actuator group to its joints. ``effort_limit`` (N, J), N·m, is inf
     for a joint without a limit. ``mass`` is in kg, ``gravity`` in m/s².
@@ -102,6 +103,7 @@ class RobotParts:
     wheels: torch.Tensor
     contacts: str
     wheel_bodies: torch.Tensor
+    wheel_links: torch.Tensor
     wheel_radius: torch.Tensor
     wheel_offsets: torch.Tensor | None
     left: torch.Tensor
@@ -124,9 +126,9 @@ def parts_of(env: Env) -> RobotParts:
     pairs = [p for p in anatomy.mirrored if p.left != p.right and p.left in legs and p.right in driven]
     contacts = contact_sensor(env.options.scene.sensors)
     assert contacts is not None  # ``evaluation_options`` added a contact sensor.
-    bodies = env.scene[contacts].body_names
+    bodies, most = env.scene[contacts].body_names, max((len(wheel.bodies) for wheel in wheels), default=0)
 
-    def indices(found: list[int]) -> torch.Tensor:
+    def indices(found: Sequence[object]) -> torch.Tensor:
         return torch.tensor(found, dtype=torch.long, device=device)
 
     offsets = None
@@ -139,6 +141,7 @@ def parts_of(env: Env) -> RobotParts:
         wheels=indices([names.index(wheel.joint) for wheel in wheels]),
         contacts=contacts,
         wheel_bodies=indices([bodies.index(wheel.body) for wheel in wheels]),
+        wheel_links=indices([[*map(bodies.index, w.bodies[:1] * (most - len(w.bodies)) + w.bodies)] for w in wheels]),
         wheel_radius=torch.tensor([wheel.radius for wheel in wheels], device=device),
         wheel_offsets=offsets,
         left=indices([names.index(pair.left) for pair in pairs]),

@@ -181,10 +181,10 @@ class Rollout:
         made.joint_pos[step], made.joint_vel[step] = data.joint_pos, data.joint_vel
         made.torque[step], made.torque_rms[step] = data.applied_torque, meter.torque_rms()
         made.sign_changes[step] = meter.sign_changes[:, parts.wheels]
-        forces = scene[parts.contacts].data.net_forces_w[:, parts.wheel_bodies]
+        forces = scene[parts.contacts].data.net_forces_w[:, parts.wheel_links]
         axles = data.body_pos_w[:, parts.wheel_bodies]
         made.clearance[step] = axles[..., 2] - scene.terrain.height_at(axles[..., :2]) - parts.wheel_radius
-        made.down[step] = torch.linalg.vector_norm(forces, dim=-1) > self._force
+        made.down[step] = (torch.linalg.vector_norm(forces, dim=-1) > self._force).any(dim=-1)
         made.work[step] = torch.stack((meter.gross, meter.net, meter.positive, meter.peak), dim=1)
         made.saturated[step] = meter.shares()
 
