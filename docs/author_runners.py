@@ -53,7 +53,7 @@ class RlSar:
         self.history: list[Array] = []  # the newest first
 
     def reset(self, done: NDArray[np.bool_]) -> None:
-        """Start again for the robots that fell."""
+        """Reset the last actions and the history of the robots that fell."""
         self.last[done] = 0.0
         self.fresh = done
 

@@ -61,15 +61,15 @@ DOTS = {
 def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row with the metrics of a run's newest evaluations with the protocol."""
     env, _ = run_config.load_params(run)
-    found = [read_content(path.parent) for path in sorted(run.evaluation.glob(f"*/{RESULT}"))]
-    metrics = dict[str, Any]()
-    for content in found:
-        if content["protocol"]["name"] == "arena":
-            metrics |= content["metrics"]
+    contents = [read_content(path.parent) for path in sorted(run.evaluation.glob(f"*/{RESULT}"))]
+    found = [content for content in contents if content["protocol"]["name"] == "arena"]
+    if not found:
+        raise SystemExit(f"{run.path} has no evaluation of protocol=arena")
+    metrics = {name: value for content in found for name, value in content["metrics"].items()}
     robot, ranges = env["robot"], env["commands"]["base_velocity"]["ranges"]
     return {
         **{key: value for key, value in details.items() if key != "run"},
-        "mass": content["about"]["mass_kg"],
+        "mass": found[-1]["about"]["mass_kg"],
         "size": robot.get("size") or details.get("size"),  # old run directories lack it
         "commands": [max(map(abs, ranges[axis])) for axis in ("lin_vel_x", "ang_vel_z")],
         "figures": {

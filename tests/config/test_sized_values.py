@@ -83,6 +83,23 @@ def test_the_arena_commands_shares_of_the_largest_commands_of_the_policys_task(r
     assert protocol["terrain"]["lin_vel_x"] == 1.0
 
 
+def test_a_task_without_commanded_speeds_is_refused_by_the_name_of_its_ranges():
+    words = robot_sizes(compose(["task=stand"]).config["env"])
+    message = r"the task commands no speed in env\.commands\.base_velocity\.ranges\.lin_vel_x"
+    with pytest.raises(ConfigError, match=message):
+        compose([*words, "protocol=arena"], primary="evaluate")
+
+
+@pytest.mark.parametrize("limits", [[], [0.5, None], ["a"], None])
+def test_spoiled_ranges_of_a_recorded_task_do_not_reach_a_composition(limits):
+    assert robot_sizes({"commands": {"base_velocity": {"ranges": {"lin_vel_x": limits}}}}) == []
+
+
+def test_powers_of_a_commanded_speed_need_no_size_of_the_robot():
+    words = ["++env.robot.lin_vel_x=3.0", "protocol=arena", "protocol.terrain.lin_vel_x='${sized:0.5,vx2}'"]
+    assert compose(words, primary="evaluate").config["protocol"]["terrain"]["lin_vel_x"] == 4.5
+
+
 def test_a_strip_ends_before_the_drive_over_it():
     for speed in (SPEED, 0.5):
         words = [f"++env.robot.{key}={value}" for key, value in {**SIZES, "natural_speed": speed}.items()]

@@ -41,7 +41,7 @@ LIMX = {
 SEEN = 3 + 3 + 4 + 6 + 6
 
 
-def write_network(path: Path, sizes: list[int]) -> None:
+def write_network(path: Path, sizes: list[int], *, normalized: bool = False) -> None:
     """Write a perceptron with the operations of LimX's files."""
     draw, nodes, tensors, name = np.random.default_rng(len(str(path.name))), [], [], "x"
     for layer, (rows, columns) in enumerate(pairwise(sizes)):
@@ -54,6 +54,13 @@ def write_network(path: Path, sizes: list[int]) -> None:
         if not last:
             nodes.append(helper.make_node("Elu", [f"a{layer}"], [f"e{layer}"]))
         name = f"e{layer}"
+    if normalized:
+        tensors += [numpy_helper.from_array(np.full(sizes[0], 2.0, np.float32), letter) for letter in ("mean", "scale")]
+        nodes[0].input[0] = "scaled"
+        nodes[:0] = [
+            helper.make_node("Sub", ["x", "mean"], ["centred"]),
+            helper.make_node("Div", ["centred", "scale"], ["scaled"]),
+        ]
     ends = [
         helper.make_tensor_value_info(end, TensorProto.FLOAT, [size])
         for end, size in (("x", sizes[0]), ("y", sizes[-1]))

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from tests.isaaclab_import.runs import ActorCritic, Exported, Normalizer, checkpoint
+from tests.isaaclab_import.test_author_runners import write_network
 from wheelleg_exp.errors import RunDirectoryError
 from wheelleg_exp.isaaclab_import.policy_weights import Network, read_policy
 from wheelleg_exp.isaaclab_import.run_folder import _policy
@@ -214,6 +215,25 @@ def test_a_small_file_cannot_take_much_memory_or_time(tmp_path: Path, text: byte
     with pytest.raises(RunDirectoryError):
         read_policy(_with_pickle(tmp_path / "policy.pt", text, script=script))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 << 10
+
+
+@pytest.mark.parametrize(
+    ("seen", "hidden", "normalized", "message"),
+    [
+        (4, 5, "policy", "normalizes its observations"),
+        (4, 5, "encoder", "normalizes its observations"),
+        (20_000, 1, "", "too wide"),
+        (1, 20_000, "", "too wide"),
+    ],
+)
+def test_networks_that_cannot_be_merged_are_refused(
+    tmp_path: Path, seen: int, hidden: int, normalized: str, message: str
+) -> None:
+    write_network(tmp_path / "policy.onnx", [2 + seen + 3, hidden, 1], normalized=normalized == "policy")
+    write_network(tmp_path / "encoder.onnx", [2 * seen, hidden, 2], normalized=normalized == "encoder")
+    with pytest.raises(RunDirectoryError, match=message):
+        read_policy(tmp_path / "policy.onnx", encoded=True)
+    assert read_policy(tmp_path / "policy.onnx").actor.widths == (2 + seen + 3, 1)  # without the encoder
 
 
 def test_weights_that_repeat_one_number_are_refused(tmp_path: Path) -> None:

@@ -33,8 +33,8 @@ _JOYSTICK, _KEYS = 0.5, ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 _FASTEST = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]}
 
 
-def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report: ImportReport) -> Tree:
-    """Return the config of a deployment folder in the structure of ``env.yaml``."""
+def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report: ImportReport) -> tuple[Tree, Tree]:
+    """Return the config of a deployment folder in the structure of ``env.yaml``, and the sizes of the robot."""
     convert = {"deploy.yaml": _unitree, "config.yaml": _rl_sar, "params.yaml": _limx}
     tree = convert[folder.kind](folder, list(dofs), report)
     pose = tree["scene"]["robot"]["init_state"]["joint_pos"]
@@ -43,13 +43,12 @@ def as_isaac_lab(folder: RunFolder, robot: Path, dofs: Mapping[str, Dof], report
     tree["scene"]["robot"]["init_state"]["pos"] = [0.0, 0.0, height]
     sizes = {"standing_height": found.facts.standing_height, "wheel_radius": found.facts.wheel_radius or None}
     sizes |= {"size": found.size, "mass": found.facts.mass, "natural_speed": natural_speed(found)}
-    tree["scene"]["robot"]["sizes"] = sizes  # of which the numbers of protocols are multiples
     text = f"{height} m: the height of the default pose, plus {_SETTLING} m"
     report.add("scene.robot.init_state.pos", ASSUMED, text)
     report.add("rewards", ASSUMED, "none: a deployment folder does not describe the training")
     report.add("terminations", ASSUMED, "the end of the episode, and a tilt of 1 rad")
     report.add("scene.terrain", ASSUMED, "a plane with friction 1")
-    return tree
+    return tree, sizes
 
 
 def _tree(joints: Sequence[str], pose: Sequence[float], step: Sequence[float], actuators: Tree) -> Tree:
@@ -167,7 +166,7 @@ def _unitree_observations(terms: Tree, where: str) -> Tree:
 
 def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     # ``base.yaml`` is in the folder of ``config.yaml``, or one or two folders above.
-    bases = [place / "base.yaml" for place in (folder.path, *folder.path.parents[:2])]
+    bases = [place / "base.yaml" for place in (folder.path, *folder.path.resolve().parents[:2])]
     contents = [read_mapping(base) for base in bases if base.is_file()][:1]
     config, where = Tree(), str(folder.config_file)
     for content in (*contents, folder.config):

@@ -232,7 +232,6 @@ class EnvMapping:
             "soft_joint_pos_limit_factor": part.take("soft_joint_pos_limit_factor", 1.0),
             "friction_source": "static",
             "self_collisions": articulation.take("enabled_self_collisions", collide),
-            **part.take("sizes", {}),
         }
         source = spawn.take("usd_path", spawn.take("asset_path"))
         if source:

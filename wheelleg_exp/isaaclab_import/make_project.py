@@ -82,7 +82,8 @@ def import_run(
     path = require_place(place)
     robot = robot_file(robot)
     folder, report, display = read_folder(source, policy), ImportReport(), display or Display()
-    weights = read_policy(folder.policy) if folder.policy is not None else None
+    encoded = folder.kind == "params.yaml"
+    weights = read_policy(folder.policy, encoded=encoded) if folder.policy is not None else None
     author = AuthorTerms(terms, path.name, is_version_3(folder.config))
     table = {} if names is None else read_names(names)
     with for_people(path), temporary_folder(path) as scratch:
@@ -126,13 +127,14 @@ def _convert(
     bodies = read(robot, "auto", {})[0].bodies
     dofs = {dof.name: dof for body in bodies for dof in body.dofs}
     try:
-        tree, settings = folder.config, folder.agent
+        tree, settings, sizes = folder.config, folder.agent, Tree()
         if folder.kind != "env.yaml":
-            tree = as_isaac_lab(folder, robot, dofs, report)
+            tree, sizes = as_isaac_lab(folder, robot, dofs, report)
         clip = tree.pop("clip_actions", None)
         links = [body.name for body in bodies]
         mapping = EnvMapping(tree, dofs, author.target, report, names, links, robot.parent.name)
         mapping.convert()
+        mapping.robot |= sizes  # of which the numbers of protocols are multiples
         if folder.joint_order is not None and sorted(folder.joint_order) == sorted(dofs):
             mapping.robot["joint_order"] = folder.joint_order
             report.add("joint_order", RULE, "the order in IO_descriptors.yaml")

@@ -32,6 +32,7 @@ _ACTIVATIONS = {
     "Elu": "elu", "ELU": "elu", "Relu": "relu", "ReLU": "relu", "Tanh": "tanh", "LeakyRelu": "lrelu",
     "LeakyReLU": "lrelu", "Selu": "selu", "SELU": "selu", "Sigmoid": "sigmoid",
 }  # fmt: skip
+_LARGEST = 10_000_000  # square of the largest width, times the number of the encoder's layers
 _COMMANDS = 3  # components of LimX's command
 _OFFSET, _ACTION_OFFSET = 8.0, 64.0  # above the absolute values of LimX's observations, and of actions
 _IDENTITY = ("elu", "relu", "lrelu")  # activations that do not change positive numbers
@@ -87,8 +88,11 @@ class PolicyWeights:
     log_std: bool = False  # whether the file has the logarithm of ``std``
 
 
-def read_policy(path: Path) -> PolicyWeights:
-    """Read a policy file. RunDirectoryError means that the file is damaged, or contains another kind of network."""
+def read_policy(path: Path, *, encoded: bool = False) -> PolicyWeights:
+    """Read a policy file, and if ``encoded``, LimX's ``encoder.onnx`` next to it.
+
+    RunDirectoryError means that a file is damaged, or contains another kind of network.
+    """
     with open_file(path) as stream:
         start = stream.read(len(LFS))
     if start == LFS:
@@ -97,7 +101,7 @@ def read_policy(path: Path) -> PolicyWeights:
     try:
         found = _from_onnx(path) if path.suffix == ".onnx" else _tensors(path)
         encoder = path.with_name("encoder.onnx")
-        return _with_encoder(found, _from_onnx(encoder)) if encoder.is_file() else found
+        return _with_encoder(found, _from_onnx(encoder)) if encoded and encoder.is_file() else found
     except RunDirectoryError:
         raise
     except Exception as error:  # Damaged files raise many types of errors.
@@ -113,6 +117,13 @@ def _with_encoder(policy: PolicyWeights, encoder: PolicyWeights) -> PolicyWeight
     units next to the encoder's are x + offset > 0, which the activation does not change, for each x of the newest pair.
     """
     inner, outer = encoder.actor.layers, policy.actor.layers
+    if any(one.actor.mean is not None for one in (policy, encoder)):
+        message, expected = "the policy or its encoder normalizes its observations", "networks of LimX, which do not"
+        raise RunDirectoryError(message, key=str(policy.path), expected=expected)
+    widest = max(width for one in (policy.actor, encoder.actor) for width in (*one.widths, *one.hidden))
+    if widest**2 * len(inner) > _LARGEST:  # Layers of the one network grow with the square of a width.
+        message = f"the policy and its encoder are too wide to be one network: {widest} units"
+        raise RunDirectoryError(message, key=str(policy.path), expected="networks of LimX")
     width, code, actions = policy.actor.widths[0], encoder.actor.widths[1], policy.actor.widths[1]
     seen = width - code - _COMMANDS
     if encoder.activation != policy.activation or policy.activation not in _IDENTITY or encoder.actor.widths[0] % seen:
@@ -124,9 +135,9 @@ def _with_encoder(policy: PolicyWeights, encoder: PolicyWeights) -> PolicyWeight
     first[:, columns[:, :seen].flatten()] = inner[0][0]
     offset = torch.full((frame,), _OFFSET)
     offset[seen - actions : seen] = _ACTION_OFFSET
-    beside = torch.zeros(frame, columns.numel())
-    beside[:, columns[-1]] = newest
-    layers = [(torch.cat((first, beside)), torch.cat((inner[0][1], offset)))]
+    passed_on = torch.zeros(frame, columns.numel())
+    passed_on[:, columns[-1]] = newest
+    layers = [(torch.cat((first, passed_on)), torch.cat((inner[0][1], offset)))]
     layers += [
         (torch.block_diag(weight, newest), torch.cat((bias, torch.zeros(frame)))) for weight, bias in inner[1:-1]
     ]

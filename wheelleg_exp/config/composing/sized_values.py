@@ -41,6 +41,7 @@ _UNITS: Mapping[str, Mapping[str, int]] = {
     "vx": {"lin_vel_x": 1},
     "wz": {"ang_vel_z": 1},
 }
+_RANGES = "commands.base_velocity.ranges"  # of which ``vx`` and ``wz`` are shares
 _LACKING = {"leg_reach": "leg joints", "wheel_radius": "wheels"}
 _FACTOR = re.compile(r"(?P<unit>[A-Za-z]+)(?P<power>[1-9]?)|1")
 _DIGITS = 6  # significant digits of a converted number
@@ -49,13 +50,15 @@ _DIGITS = 6  # significant digits of a converted number
 def sized(value: object, unit: str, *, _root_: DictConfig) -> object:
     """Return ``value``, a number or nested lists of numbers in ``unit`` such as ``m/s`` or ``1/m2``, for the robot.
 
-    Raise ValueError for an unknown unit, or for a robot without legs or wheels, if the unit needs them.
+    Raise ValueError for an unknown unit, or if the unit needs legs, wheels, or commanded speeds that are missing.
     """
     factor, powers = 1.0, _powers(str(unit))
     if OmegaConf.select(_root_, "env.robot.size") is None:
-        powers = {key: 1 for key in powers if OmegaConf.select(_root_, f"env.robot.{key}") and key not in SIZES}
+        powers = {k: n for k, n in powers.items() if k not in SIZES and OmegaConf.select(_root_, f"env.robot.{k}")}
     for key, power in powers.items():
         size = OmegaConf.select(_root_, f"env.robot.{key}")
+        if not _is_size(size) and key not in SIZES:
+            raise ValueError(f"the task commands no speed in env.{_RANGES}.{key}, but a number in '{unit}' needs it")
         if not _is_size(size):
             lack = f"the robot has no {_LACKING[key]}: " if key in _LACKING else ""
             raise ValueError(f"{lack}env.robot.{key} is {size}, but a number in '{unit}' needs it")
@@ -89,12 +92,12 @@ def _times(value: object, factor: float) -> object:
 
 def robot_sizes(env: Mapping[str, object]) -> list[str]:
     """Return overrides for a config without a robot: the sizes and the largest commands of the config ``env``."""
-    robot, ranges = section_at(env, "robot"), section_at(env, "commands.base_velocity.ranges")
+    robot, ranges = section_at(env, "robot"), section_at(env, _RANGES)
     keys = SIZES if _is_size(robot.get("size")) else ("standing_height",)
     sizes = {key: robot.get(key) for key in keys}
     for key in ("lin_vel_x", "ang_vel_z"):
-        if isinstance(limits := ranges.get(key), list):
-            sizes[key] = max(map(abs, limits))
+        if isinstance(limits := ranges.get(key), list) and all(isinstance(limit, (int, float)) for limit in limits):
+            sizes[key] = max(map(abs, limits), default=None)
     return [f"++env.robot.{key}={size!r}" for key, size in sizes.items() if _is_size(size)]
 
 
