@@ -70,6 +70,14 @@ def test_torch_imported_before_is_in_time_for_mkl_unless_it_multiplied_or_the_us
         assert f"MKL_CBWR is {mode}" in told["notes"][0]
 
 
+def test_the_gpu_of_the_run_is_named(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device=None: f"name of {device}")
+    assert set_threads(AGENT, 1, physics_device="cuda:1")["gpu"] == "name of cuda:1"
+    assert set_threads(replace(AGENT, device="cuda:2"), 1, physics_device="cuda:1")["gpu"] == "name of cuda:2"
+    assert "gpu" not in set_threads(AGENT, 1)
+
+
 def test_without_mkl_no_promise_is_made(monkeypatch):
     monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
     found = set_threads(AGENT, 1)

@@ -84,10 +84,10 @@ def _run_drive(args: argparse.Namespace, run: RunDirectory, checkpoint: Path | N
 
         place = DrivePage(_PORT if args.port is None else args.port, scenes(), list(others))
     with ConsoleDisplay(quiet=True) as display, place as page:
-        if args.json and page is not None:  # The second document follows when the drive ends.
+        if args.json and page is not None:
             port, keys_port = page.ports
             start = {"run": str(run.path), "url": page.url, "port": port, "keys_port": keys_port}
-            print(json.dumps(start), flush=True)
+            print(json.dumps(start), file=sys.stderr, flush=True)  # Standard output has one document.
         drives = drive(request, display, page, others)
     if args.json:
         documents = [{"folder": str(made.folder), "figures": made.figures} for made in drives]

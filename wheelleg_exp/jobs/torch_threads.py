@@ -39,7 +39,9 @@ class Mkl(TypedDict):
     strict: bool | None
 
 
-def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = None) -> dict[str, object]:
+def set_threads(
+    agent: Learning, physics_threads: int, *, samples: int | None = None, physics_device: str = "cpu"
+) -> dict[str, object]:
     """Set torch's thread count to ``agent.torch_threads``; return thread and rounding settings for a run's manifest.
 
     ``samples`` is the number of environment steps in one rollout; None if nothing is trained. ``independent`` is true
@@ -57,7 +59,7 @@ def set_threads(agent: Learning, physics_threads: int, *, samples: int | None = 
         "physics": physics_threads,
         "cpu_capability": torch.backends.cpu.get_cpu_capability(),
         "device": device,
-        **_gpu_facts(),
+        **_gpu_facts(device, physics_device),
         "variables_in_time": all(_in_time),
         "mkl": mkl,
         "matmul": chosen_matmul(agent),
@@ -123,13 +125,14 @@ def numerics() -> dict[str, object]:
 _DRIVER = Path("/proc/driver/nvidia/version")
 
 
-def _gpu_facts() -> dict[str, object]:
-    """Return the model and the driver version of the GPU that this process uses; {} without a GPU."""
-    if not torch.cuda.is_initialized():
+def _gpu_facts(*devices: str) -> dict[str, object]:
+    """Return the model and the driver version of the first GPU among the devices of a run; {} without a GPU."""
+    gpus = [device for device in devices if device.startswith("cuda")]
+    if not gpus or not torch.cuda.is_initialized():
         return {}
     text = _DRIVER.read_text(encoding="utf-8", errors="replace") if _DRIVER.is_file() else ""
     version = re.search(r"\d+(\.\d+)+", text)
-    return {"gpu": torch.cuda.get_device_name(), "gpu_driver": version and version[0]}
+    return {"gpu": torch.cuda.get_device_name(gpus[0]), "gpu_driver": version and version[0]}
 
 
 def _largest_mean(agent: Learning, samples: int | None) -> int:

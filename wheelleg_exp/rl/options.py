@@ -106,7 +106,8 @@ class Agent(Learning):
         warm_start: number of rollouts before the first iteration in which the actor learns the actions of the reference
             controller. A training with ``init_from`` has none.
         warm_critic: number of first iterations in which only the critic learns, at the learning rate 0.001. They do not
-            change the policy, its exploration noise, or its observation normalisation.
+            change the policy, its exploration noise, or its observation normalisation. Afterwards, the actor learns at
+            ``algorithm.learning_rate``, which must be small for a trained policy with little noise.
         initial_kl: a loss that keeps the policy near its initial policy; null means no such loss.
     """
 

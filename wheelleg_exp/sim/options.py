@@ -112,8 +112,8 @@ class SimOptions:
         graph: engine ``warp`` on a GPU: launch a physics step as one CUDA graph, which changes no number.
         graph_step: engine ``warp`` on a GPU: launch the torch operations of a control step (actions, rewards, resets,
             commands, observations) as CUDA graphs. docs/gpu.md lists the requirements for terms.
-        deterministic: require bit-reproducible results. The engine ``warp`` then computes in a fixed order, which is
-            slower; on a GPU, torch does as well, and raises an error where it cannot. ``physx`` is refused.
+        deterministic: require bit-reproducible results. On a GPU, the engine ``warp`` and torch then compute in a
+            fixed order, and raise an error where they cannot (docs/gpu.md). ``physx`` is refused.
     """
 
     engine: Literal["mujoco", "warp", "physx"] | Node

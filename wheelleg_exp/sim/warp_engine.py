@@ -52,24 +52,29 @@ def capacity_for(model: mujoco.MjModel, nconmax: int, njmax: int) -> Capacity:
 class Overflow:
     """Detects that contacts or constraint rows exceeded the engine's capacity, without waiting for a GPU.
 
-    ``flags`` (N,) int are mujoco-warp's overflow flags: a live view that is never cleared.
+    ``flags`` (N,) int are mujoco-warp's overflow flags: a live view that is never cleared. With ``is_ordered``, a
+    contact sensor that drops contacts is an error too, because it drops them in no fixed order.
     """
 
-    def __init__(self, kinds: Any, flags: torch.Tensor, room: Capacity) -> None:
+    def __init__(self, kinds: Any, flags: torch.Tensor, room: Capacity, is_ordered: bool) -> None:
         self._flags, self._room = flags, room
         self._rows = int(kinds.NEFC | kinds.NJMAX_NNZ)
         self._contacts = int(kinds.BROADPHASE | kinds.NARROWPHASE | kinds.CCD)
+        self._watched = self._rows | self._contacts | (int(kinds.CONTACT_MATCH) if is_ordered else 0)
         self._seen = torch.zeros((), dtype=flags.dtype, device="cpu", pin_memory=flags.is_cuda)
 
     def look(self) -> None:
         """Start to copy the overflow flags to the host, without waiting; ``require_none`` reads the copy."""
-        self._seen.copy_((self._flags & (self._rows | self._contacts)).amax(), non_blocking=True)
+        self._seen.copy_((self._flags & self._watched).amax(), non_blocking=True)
 
     def require_none(self, data: Any) -> None:
         """Raise SimulationFailure if the overflow flags on the host report too many contacts or constraint rows."""
         flags = int(self._seen)
         if not flags:
             return
+        if not flags & (self._rows | self._contacts):
+            message = "a contact sensor found too many contacts, and dropped some in no fixed order"
+            raise SimulationFailure(message, key="env.sim.deterministic", expected="false")
         if flags & self._rows:
             key, has, needed = "env.sim.njmax", self._room.rows, int(data.nefc.numpy().max())
             what = "constraint rows in one simulation"
@@ -100,6 +105,7 @@ CONSTANTS = (
 _HUGE = 1e10  # A position or velocity above MuJoCo's limit mjMAXVAL counts as invalid.
 _LEAST_MATCHES = 8
 _MOTION = ("qpos", "qvel")
+_UNORDERED = ("cuda",)  # On these types of devices, threads run in no fixed order.
 
 
 class WarpEngine(Engine):
@@ -145,7 +151,8 @@ class WarpEngine(Engine):
             most *= 2
         self._m.opt.contact_sensor_maxmatch = most
         self._in_order: Callable[[], AbstractContextManager[None]] = nullcontext
-        if options.deterministic:
+        is_ordered = options.deterministic and self.device.type in _UNORDERED
+        if is_ordered:
             if self.device.type == "cuda":
                 repeat_torch()
             from wheelleg_exp.sim.warp_order import FixedOrder
@@ -161,7 +168,7 @@ class WarpEngine(Engine):
             value = torch.as_tensor(getattr(data, name)).reshape(1, *view.shape[1:])
             self._initial[name] = value.to(self.device, view.dtype)
             view.copy_(self._initial[name].expand_as(view))
-        self._overflow = Overflow(mjw.OverflowType, wp.to_torch(self._d.overflow), self.room)
+        self._overflow = Overflow(mjw.OverflowType, wp.to_torch(self._d.overflow), self.room, is_ordered)
         self._current: set[str] = set()
         self._bad = torch.zeros(num_envs, dtype=torch.bool, device=self.device)
         self._all_ids = torch.arange(num_envs, device=self.device)

@@ -30,13 +30,14 @@ Pairs, Vectors, Frames = wp.array[wp.vec2], wp.array[wp.vec3], wp.array[wp.mat33
 
 KEY = "env.sim.deterministic"
 _VERSION = "4.0.0"
-_LEAST_MATCHES = 64  # A contact sensor drops contacts above this number, in no fixed order.
+_LEAST_MATCHES = 64  # Above this number, a contact sensor drops contacts in no fixed order (``Overflow``).
 _MOVED = (
     *("dist", "pos", "frame", "includemargin", "friction", "solref", "solreffriction", "solimp", "dim", "geom"),
     *("worldid", "type", "geomcollisionid", "adhesion"),
 )
 _ROW_FIELDS = ("type", "id", "pos", "margin", "D", "vel", "aref", "frictionloss", "J")
-_ADDING_SENSORS = (mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE)
+_ADDING = ("TOUCH", "FORCE", "TORQUE", "E_POTENTIAL", "E_KINETIC")
+_ADDING_SENSORS = [int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")) for name in _ADDING]
 
 
 def unordered(model: mujoco.MjModel, on_device: Any) -> str | None:
@@ -47,9 +48,12 @@ def unordered(model: mujoco.MjModel, on_device: Any) -> str | None:
         "tendons": model.ntendon,
         "flexes": model.nflex,
         "gravity compensation": model.body_gravcomp.any(),
+        "adhesion": on_device.flg_adhesion,
+        "a fluid (density, viscosity, or wind)": on_device.has_fluid,
+        "the integrator 'implicit'": model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
         "actuators that do not drive a joint": not np.isin(model.actuator_trntype, joints).all(),
         "more than two actuators on a joint": np.bincount(model.actuator_trnid[:, 0].clip(0)).max(initial=0) > 2,
-        "sensors of touch, force, or torque": np.isin(model.sensor_type, [int(kind) for kind in _ADDING_SENSORS]).any(),
+        "sensors of touch, force, torque, or energy": np.isin(model.sensor_type, _ADDING_SENSORS).any(),
     }
     return next((name for name, has in found.items() if has), None)
 
@@ -308,7 +312,7 @@ def _sort_matches(
     # fmt: on
     """Sort the contacts of a sensor in place, by the sensor's criterion and then by the order of the contacts.
 
-    ``match_out`` is ``match``. The complement of a contact's number stands for a contact in the other direction.
+    ``match_out`` is ``match``. The complement of a contact's number means a contact in the other direction.
     """
     world, own, lane = wp.tid()
     if lane > 0:
@@ -334,9 +338,9 @@ def _sort_constraints(m: Any, d: Any) -> None:
 
 @wp.func
 def _swap(values: wp.array2d[Any], world: int, a: int, b: int):  # type: ignore[no-untyped-def]  # noqa: ANN202
-    kept = values.dtype(values[world, a])
+    value = values.dtype(values[world, a])
     values[world, a] = values[world, b]
-    values[world, b] = kept
+    values[world, b] = value
 
 
 # fmt: off
@@ -364,6 +368,6 @@ def _sort_rows(
             _swap(aref, world, a, b)
             _swap(frictionloss, world, a, b)
             for dof in range(nv):
-                kept = float(J[world, a, dof])
+                value = float(J[world, a, dof])
                 J[world, a, dof] = J[world, b, dof]
-                J[world, b, dof] = kept
+                J[world, b, dof] = value

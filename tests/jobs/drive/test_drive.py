@@ -105,7 +105,9 @@ def test_the_address_and_the_ports_are_printed_before_the_drive(run, monkeypatch
     found = []
 
     def paused(request, display, page, others):
-        start = json.loads(sys.stdout.getvalue())
+        (line,) = [line for line in sys.stderr.getvalue().splitlines() if line.startswith("{")]
+        start = json.loads(line)
+        assert (start["port"], start["keys_port"]) == page.ports  # With a wrong port, the test would wait for minutes.
         with urlopen(start["url"]) as answer:
             found.append(answer.status)
         with connect(f"ws://127.0.0.1:{start['keys_port']}", origin=f"http://localhost:{start['port']}") as keys:
@@ -117,7 +119,7 @@ def test_the_address_and_the_ports_are_printed_before_the_drive(run, monkeypatch
     monkeypatch.setattr("wheelleg_exp.jobs.drive.run_drive.drive", paused)
     said = succeed("play", "latest", "--drive", "--port", "0", "--json")
     assert found == [200, True, str(run.path)]
-    assert json.loads(said.out.split("\n", 1)[1]) == {"run": str(run.path), "drives": []}
+    assert json.loads(said.out) == {"run": str(run.path), "drives": []}
 
 
 @pytest.mark.train

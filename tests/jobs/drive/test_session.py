@@ -149,7 +149,8 @@ def _stopped_cart(folder):
     travel |= {"wheel_radius": RADIUS, "max_travel_error": 1.0, "max_heading_error": 1.0, "max_lin_acceleration": 2.0}
     jump = {"_target_": "wheelleg_exp.mdp.commands.JumpCommand", "velocity_command": "base_velocity", "window_s": 0.4}
     jump |= {"resampling_time_range": [9.0, 9.0], "bump": {"wait_s": 0.3, "back": 0.1, "run_up": 0.25}}
-    env = cart_env(folder, commands={"base_velocity": VELOCITY | travel, "jump": jump})
+    hop = {name: jump[name] for name in ("_target_", "resampling_time_range", "window_s")}  # It cannot wait for bumps.
+    env = cart_env(folder, commands={"base_velocity": VELOCITY | travel, "hop": hop, "jump": jump})
 
     def policy(observations):
         x, jumps = float(env.scene.robot.data.root_pos_w[0, 0]), float(env.command_manager.get_command("jump")) > 0.0

@@ -281,3 +281,8 @@ def test_limits_of_joints_are_written_where_all_are_limited(make_env, device):
     joint = arm.scene.robot.layout.joint_ids[0]
     assert arm.scene.sim.expanded["jnt_range"][0, joint].tolist() == pytest.approx([-0.3, 0.3])
     assert arm.scene.sim.expanded["jnt_range"][1, joint, 1] > 1e6
+
+
+def test_the_cpu_accepts_all_models_because_its_order_is_always_fixed():
+    tendon = XML.replace("<actuator>", '<tendon><fixed><joint joint="hinge" coef="1"/></fixed></tendon><actuator>')
+    assert WarpEngine(model(tendon), 1, options("cpu", deterministic=True)).exact

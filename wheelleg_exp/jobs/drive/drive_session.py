@@ -147,11 +147,13 @@ class DriveSession:
         self.steps = 0
         self.fallen: str | None = None
         self.jumps = [term for term in terms.values() if isinstance(term, JumpCommand)]
+        # A jump after a bump needs a velocity command that measures how far the wheels roll.
+        measuring = {name for name, term in terms.items() if isinstance(term, UniformVelocityTravelCommand)}
+        self._bump_jumps = [term for term in self.jumps if term.velocity_command in measuring]
         for term in self.jumps:
             term.share = 0.0  # The user starts the jumps.
-            # A jump after a bump needs a velocity command that measures how far the wheels roll.
-            if isinstance(terms.get(term.velocity_command or ""), UniformVelocityTravelCommand):
-                self.controls.trigger = term.trigger
+        for term in self._bump_jumps:
+            self.controls.trigger = term.trigger
         self._hold(self.controls.values)
         if start is None:
             self.env.reset()
@@ -168,7 +170,7 @@ class DriveSession:
         values, trigger = self.controls.values, self.controls.trigger
         self.driven.commanded(self.steps, values | ({} if trigger is None else {"trigger": trigger}))
         self._hold(values)
-        for term in self.jumps:
+        for term in self._bump_jumps:
             if trigger not in (None, term.trigger):
                 term.select_trigger(trigger)
                 self.env.settings_may_have_changed()

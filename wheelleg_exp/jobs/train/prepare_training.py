@@ -163,7 +163,8 @@ def build_trainer(recipe: Recipe, ranks: Ranks = ALONE) -> tuple[Trainer, dict[s
         env = ManagerBasedRLEnv(ranks.env(experiment.env), recipe.asset.output, ranks.seed(seed))
     require_graphics(env, experiment.recording)
     samples = env.num_envs * agent.num_steps_per_env
-    threads = set_threads(agent, env.scene.sim.nthread, samples=samples)
+    engine = env.scene.sim
+    threads = set_threads(agent, engine.nthread, samples=samples, physics_device=str(engine.device))
     path = recipe.asset.output.parent / TEACHER
     teacher = checkpoint.load(path) if isinstance(agent, DistillationAgent) and path.is_file() else None
     initial = saved_initial(experiment.init_from, recipe.asset)
