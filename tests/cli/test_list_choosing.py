@@ -19,7 +19,9 @@ def root(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     root = tmp_path / "runs"
     overrides = [[f"seed={seed}", f"agent.algorithm.gamma={gamma}"] for seed, gamma, _ in RUNS]
-    index = SweepIndex.create(root, command=[], launcher={}, jobs=[(words, words) for words in overrides])
+    index = SweepIndex.create(
+        root, command=[], launcher={"name": "basic", "at_once": 1}, jobs=[(words, words) for words in overrides]
+    )
     for number, (seed, gamma, figure) in enumerate(RUNS, 1):
         index.update(number, run=index.relative(make(root, number, seed, gamma, figure, "finished")))
     make(root, 0, 7, 0.5, -2.0, "failed")

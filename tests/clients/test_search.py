@@ -19,7 +19,7 @@ def test_a_search_stops_weak_trials_and_its_best_run_is_the_training_alone():
     words, key = [*TINY, "agent.save_interval=1000"], "env.rewards.alive.weight"  # A larger weight gives more return.
     options = ["--trials", "4", "--iterations", "1", "2", "--figure", "Train/mean_reward"]
     command = [sys.executable, str(SEARCH), *words, f"{key}=choice(1,2,4,8)", *options]
-    told = json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)
-    assert (told["params"], told["iterations"] < 8) == ({key: 8}, True)
+    result = json.loads(subprocess.run(command, stdout=subprocess.PIPE, check=True).stdout)
+    assert (result["params"], result["iterations"] < 8) == ({key: 8}, True)
     succeed("train", *words, f"{key}=8", "agent.max_iterations=2", "run.root=alone")
-    assert Path(told["run"], "model_1.pt").read_bytes() == (only_run(Path("alone")) / "model_1.pt").read_bytes()
+    assert Path(result["run"], "model_1.pt").read_bytes() == (only_run(Path("alone")) / "model_1.pt").read_bytes()

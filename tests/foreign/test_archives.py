@@ -126,15 +126,16 @@ class Archive:
         write_text(folder / "evil.md", result_page(record, read_manifests(record, folder)))
         return folder
 
-    def plant_sweep(self) -> Path:
+    def plant_sweep(self, launcher: dict[str, Any] | None = None, **changes: Any) -> Path:
         folder = self.root / "runs" / "sweeps" / MOMENT
         words = ["task=evil", f"--config-dir={self.configs[0]}", f"hydra.searchpath=[file://{self.configs[0]}]"]
         job = {"number": 1, "overrides": words, "swept": words, "status": "finished"}
-        job["run"] = os.path.relpath(self.run, folder)
+        job |= {"run": os.path.relpath(self.run, folder), "started": None, "ended": None, "results": {}, "error": None}
+        job |= changes.pop("job", {})
         data = {"format": 1, "id": MOMENT, "status": "running", "command": ["wheelleg", "train", *words]}
         data |= {"launcher": {"name": "submitit_slurm", "at_once": 1}, "jobs": [job], "process": None}
-        write_json(folder / "sweep.json", data | {"working_directory": str(self.root)})
-        hydra = {"launcher": {"_target_": "evil.terms.f"}, "sweep": {"dir": "."}}
+        write_json(folder / "sweep.json", data | {"working_directory": str(self.root)} | changes)
+        hydra = {"launcher": {"_target_": "evil.terms.f", **(launcher or {})}, "sweep": {"dir": "."}, "job": {}}
         write_yaml(folder / "multirun.yaml", {"hydra": hydra})
         write_json(folder / "0" / "request.json", {"path": [str(self.root)], "line": "{}", "variables": {}})
         self.project(folder)
@@ -300,6 +301,27 @@ def test_a_pipeline_that_is_resumed_runs_no_code_and_trusts_nothing(archive, pla
 def test_a_pipeline_that_is_resumed_stays_in_its_folder(archive, plant):
     folder = archive.plant_pipeline(**plant)
     assert "expected a path below" in give(archive, "resume", os.path.relpath(folder), status=(2,)).err
+    assert not (folder.parents[2] / "elsewhere").exists()
+
+
+NEW: dict[str, Any] = {"status": "waiting", "run": None}
+SWEEPS: dict[str, tuple[dict[str, Any], str]] = {
+    "an option": ({"job": {**NEW, "overrides": ["--config-dir=theirs"]}}, "is not allowed as a recorded override"),
+    "a root": ({"job": {**NEW, "overrides": ["run.root=../elsewhere"]}}, "expected a path below"),
+    "a run": ({"job": {"status": "failed", "run": "../../../elsewhere/run"}}, "expected a path below"),
+    "a folder": ({"job": {**NEW, "overrides": []}, "working_directory": "/gone"}, "expected this command in /gone"),
+    "kinds": ({"job": {"status": 3}}, "the key 'jobs[0].status' is missing or has a wrong value"),
+    "commands": ({"launcher": {"setup": ["touch ran"]}}, "does not trust the setting 'setup'"),
+    "a program": ({"launcher": {"python": "theirs"}}, "does not trust the setting 'python'"),
+    "a line": ({"launcher": {"comment": "a\ntouch ran"}}, "does not trust the setting 'comment'"),
+    "a cluster": ({"launcher": {"ray": {"init": {"address": "h:1"}}}}, "does not trust the setting 'address'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("plant", "why"), SWEEPS.values(), ids=SWEEPS)
+def test_a_sweep_that_is_resumed_trusts_nothing_and_stays_in_its_folder(archive, plant, why):
+    folder = archive.plant_sweep(**{"working_directory": str(Path.cwd()), **plant})
+    assert why in give(archive, "resume", "--sweep", os.path.relpath(folder), status=(2,)).err
     assert not (folder.parents[2] / "elsewhere").exists()
 
 

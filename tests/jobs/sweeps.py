@@ -91,7 +91,7 @@ class Seen:
     def ended(self, job):
         self.told.append(("ended", job["number"], job["status"]))
 
-    def note(self, job, text):
+    def note(self, job, text, *, once=True):
         self.told.append(("note", job["number"], text))
 
     def most_at_once(self) -> int:
@@ -105,7 +105,7 @@ class Seen:
 def stand_in(whats: list[str], stop: StopRequest, at_once: int = 1, seen: Seen | None = None) -> SweepRunner:
     """Return a sweep below the working folder whose jobs only pretend to train."""
     jobs = [([what], [what]) for what in whats]
-    index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "basic"}, jobs=jobs)
+    index = SweepIndex.create("runs", command=["wheelleg"], launcher={"name": "basic", "at_once": at_once}, jobs=jobs)
     requests = [JobRequest("train", [what], [], ["wheelleg", "train", what], "") for what in whats]
     launcher = LocalLauncher((sys.executable, "-S", "-c", STAND_IN))
     return SweepRunner(index, requests, at_once, seen or Seen(), stop, launcher)

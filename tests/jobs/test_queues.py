@@ -117,7 +117,8 @@ def test_jobs_that_a_queue_refuses_are_not_waited_for(stop, monkeypatch):
     assert [job["status"] for job in index()["jobs"]] == ["failed", "failed"]
 
 
-def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
+@pytest.mark.parametrize("asked", [False, True])
+def test_time_that_is_over_stops_the_job_and_hands_it_in_again_unless_the_sweep_was_stopped(tmp_path, asked):
     line = JobRequest("train", ["wait"], [], []).line().decode().strip()
     facts = {"line": line, "path": [], "working_directory": str(tmp_path), "variables": {}}
     (tmp_path / run_sweep.REQUEST).write_text(json.dumps(facts))
@@ -127,10 +128,13 @@ def test_time_that_is_over_stops_the_job_with_a_checkpoint(tmp_path):
     events = tmp_path / run_sweep.EVENTS
     while not events.exists() or '"run"' not in events.read_text():
         thread.join(0.02)
+    if asked:
+        (tmp_path / run_sweep.STOP).write_text(run_sweep.SOON)
     again = job.checkpoint(str(tmp_path))
     thread.join()
-    told = [json.loads(line)["event"] for line in (tmp_path / run_sweep.EVENTS).read_text().splitlines()]
-    assert (told, again.args) == (["began", "run", "preempted"], (str(tmp_path),))
+    kinds = [json.loads(line)["event"] for line in events.read_text().splitlines()]
+    assert kinds == ["began", "run", "ended" if asked else "preempted"]
+    assert again is None if asked else again.args == (str(tmp_path),)
 
 
 def _preempt(count: int, pids: set[int]) -> None:

@@ -9,24 +9,38 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import joblib  # noqa: F401 - importing joblib sets KMP_INIT_AT_FORK, which environment.txt contains
 import pytest
 from omegaconf import OmegaConf
 from patience import PATIENCE_S, wait_until
 
-from jobs.small import ITERATIONS, SMALL, cache_of, lines, manifest, only_run, succeed, trained_once, without_times
+from jobs.small import (
+    ITERATIONS,
+    SMALL,
+    cache_of,
+    lines,
+    manifest,
+    only_run,
+    succeed,
+    trained_once,
+    wheelleg,
+    without_times,
+)
 from jobs.sweeps import STAND_IN, Seen, stand_in, swept_once
 from wheelleg_exp.child_process import EventPipe, run_job
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.config.composing.compose_sweep import compose_sweep, digest_of
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, SimulationFailure
+from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs import run_sweep as runner_module
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.run.run_list import list_runs
+from wheelleg_exp.run.run_lock import RunLock
 from wheelleg_exp.stop_request import StopRequest
 
 GROWING = (".lock", ".manifest.lock", "manifest.json", "iterations.jsonl", "recording.rrd")  # they hold times
@@ -55,6 +69,13 @@ def test_jobs_that_fail_or_die_stop_no_other(stop, at_once):
     *told, last = [job["error"] and job["error"]["message"] for job in _index()["jobs"]]
     died = "its process ended with status 7 and did not say why: the last words"
     assert (told, last) == (["gone to NaN", died, "its process was ended by SIGKILL (out of memory?)"], None)
+
+
+def test_a_resume_that_fails_before_it_changes_the_run_is_reported(stop, monkeypatch):
+    before = SimpleNamespace(status="interrupted", results={}, data={"error": None})
+    monkeypatch.setattr(runner_module.Manifest, "load", lambda path: before)
+    assert stand_in(["fail"], stop).run() == "failed"
+    assert (_statuses(), _index()["jobs"][0]["error"]["message"]) == (["failed"], "gone to NaN")
 
 
 def test_much_talk_blocks_nobody(stop):
@@ -249,6 +270,28 @@ def test_an_interrupt_stops_the_sweep_and_leaves_the_trained_runs(tmp_path, tmp_
     assert b"0 of 2 jobs finished" in out
 
 
+def test_only_one_process_runs_a_sweep_and_a_job_that_may_still_be_queued_is_not_run_twice(tmp_path):
+    facts = {"name": "submitit_slurm", "at_once": 1}  # This machine has no Slurm, and without jobs none is needed.
+    index = SweepIndex.create("runs", command=[], launcher=facts, jobs=[([], [])])
+    write_json(index.folder / "multirun.yaml", {"hydra": {"launcher": {}, "sweep": {}, "job": {}}})
+    again = ["resume", "--sweep", "latest"]
+
+    def refused(why: str, *words: str) -> bool:
+        said = wheelleg(*again, *words)
+        return said.status == 2 and why in said.err
+
+    assert refused("this sweep is still running")
+    index.data["process"] = None
+    index.write()
+    assert refused("accepts no overrides", "agent.max_iterations=9")
+    write_json(index.folder / "jobs" / "1" / "request.json", {})
+    assert refused("job 1 may still be in the queue")
+    index.update(1, status="finished")
+    with RunLock(index.folder):
+        assert refused("is being written by process")
+    assert (wheelleg(*again).status, _index()["status"]) == (0, "finished")
+
+
 @pytest.mark.train
 def test_a_resumed_sweep_resumes_unfinished_runs_and_leaves_finished_ones(run, tmp_path):
     half = shutil.copytree(run.path, run.path.with_name(f"{run.id}-2"))
@@ -258,6 +301,7 @@ def test_a_resumed_sweep_resumes_unfinished_runs_and_leaves_finished_ones(run, t
     index = SweepIndex.create(tmp_path / "runs", command=[], launcher=facts, jobs=[([], []), ([], [])])
     (index.folder / "multirun.yaml").write_text(OmegaConf.to_yaml(compose_sweep(["seed=1,2"]).multirun))
     index.update(1, status="running", run=index.relative(run.path))  # The process of the sweep was killed.
+    index.data["process"] = None
     index.update(2, status="interrupted", run=index.relative(half))
     said = succeed("resume", "--sweep", "latest")
     assert "jobs to resume: 1 of 2" in said.err

@@ -123,7 +123,7 @@ def test_a_curve_is_the_mean_and_deviation_where_all_runs_have_a_value():
 
 def test_a_sweeps_report_is_in_its_folder(root, runs):
     jobs = [([f"seed={i}"], [f"seed={i}"]) for i in range(6)]
-    index = SweepIndex.create(root, command=[], launcher={}, jobs=jobs)
+    index = SweepIndex.create(root, command=[], launcher={"name": "basic", "at_once": 1}, jobs=jobs)
     for number, run in enumerate(runs, 1):
         index.update(number, run=index.relative(run.path))  # The sixth job has not started.
     said = wheelleg("report", index.folder.name, "--root", root, "--json")
@@ -141,7 +141,9 @@ def test_a_single_seed_and_unequal_lengths_are_mentioned(root, runs):
 
 def test_another_file_is_not_overwritten_and_a_sweep_without_runs_has_no_report(root, runs):
     (root.parent / "comparison.html").write_text("my notes")
-    index = SweepIndex.create(root, command=[], launcher={}, jobs=[(["seed=1"], ["seed=1"])])
+    index = SweepIndex.create(
+        root, command=[], launcher={"name": "basic", "at_once": 1}, jobs=[(["seed=1"], ["seed=1"])]
+    )
     for paths, expected in (([runs[0].path, runs[1].path], "not overwritten"), ([index.folder], "has no run yet")):
         said = wheelleg("report", *paths, "--root", root)
         assert (said.status, expected in said.err) == (2, True)

@@ -182,9 +182,11 @@ def test_listing_costs_by_the_number_of_runs_and_not_by_their_length(make_run, t
 
 def test_sweeps_are_listed_with_their_jobs(tmp_path, dead_pid):
     jobs = [(["task=stand", f"seed={seed}"], [f"seed={seed}"]) for seed in (1, 2)]
-    index = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START)
+    index = SweepIndex.create(tmp_path, command=[], launcher={"name": "basic", "at_once": 1}, jobs=jobs, now=START)
     index.update(1, status="running")
-    broken = SweepIndex.create(tmp_path, command=[], launcher={}, jobs=jobs, now=START + timedelta(hours=1))
+    broken = SweepIndex.create(
+        tmp_path, command=[], launcher={"name": "basic", "at_once": 1}, jobs=jobs, now=START + timedelta(hours=1)
+    )
     broken.path.write_text("{")
     first, second = list_sweeps(tmp_path)
     assert (first.status, second.status) == ("damaged", "running")

@@ -17,7 +17,8 @@ NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 def make(root, jobs=(("seed=1", "a=2"), ("seed=2", "a=2"))) -> SweepIndex:
     pairs = [(overrides, overrides[:1]) for overrides in jobs]
-    return SweepIndex.create(root, command=["wheelleg", "train"], launcher={"name": "basic"}, jobs=pairs, now=NOW)
+    facts = {"name": "basic", "at_once": 1}
+    return SweepIndex.create(root, command=["wheelleg", "train"], launcher=facts, jobs=pairs, now=NOW)
 
 
 def test_a_new_sweep_has_its_own_folder_below_sweeps_and_all_jobs_wait(tmp_path):
@@ -63,6 +64,7 @@ def test_a_sweep_is_no_run(tmp_path, make_run):
 
 
 REFUSED = [(None, "cannot read"), ("{", "broken JSON"), ("[]", "is not the index of a sweep")]
+REFUSED += [('{"format": 1, "status": "failed", "jobs": [{"number": 1}]}', "the key 'working_directory' is missing")]
 REFUSED += [('{"format": 1}', "is not the index of a"), ('{"format": 2, "jobs": []}', "sweep format 2 is unknown")]
 
 

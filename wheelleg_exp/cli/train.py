@@ -22,6 +22,7 @@ from wheelleg_exp.errors import (
     EXIT_OK,
     ConfigError,
     Interrupted,
+    RunDirectoryError,
     SimulationFailure,
     WheellegError,
 )
@@ -214,13 +215,17 @@ def _run_sweep(
 ) -> SweepStatus:
     """Run the unfinished jobs of a sweep's index with the sweep's launcher."""
     from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
+    from wheelleg_exp.run.run_lock import RunLock
 
-    try:
-        launcher = make_launcher(sweep.launcher, sweep.settings(index.folder), index.folder)
-    except WheellegError:
-        index.finish("failed")
-        raise
-    return SweepRunner(index, requests, index.data["launcher"]["at_once"], display, stop, launcher).run()
+    with RunLock(index.folder):
+        index.restart()
+        try:
+            settings = sweep.settings(index.folder)
+            launcher = make_launcher(sweep.launcher, settings, index.folder) if requests else None
+        except WheellegError:
+            index.finish("failed")
+            raise
+        return SweepRunner(index, requests, index.data["launcher"]["at_once"], display, stop, launcher).run()
 
 
 def _print_sweep(args: argparse.Namespace, index: SweepIndex, status: SweepStatus) -> int:
@@ -236,37 +241,56 @@ def resume_sweep(args: argparse.Namespace, stop: StopRequest) -> int:
     """Resume the unfinished runs of a sweep, train the jobs without a run, and print the results of all jobs."""
     from wheelleg_exp.run.run_list import open_sweep
 
+    if args.overrides:
+        where, expected = f"override {args.overrides[0]}", "'wheelleg resume RUN' with overrides"
+        raise ConfigError("a resumed sweep accepts no overrides", where=where, expected=expected)
     index = open_sweep(args.run, Path(args.root))
+    index.require_ended()
 
     from omegaconf import DictConfig
 
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
     from wheelleg_exp.config.checking.find_mistakes import compose_valid
     from wheelleg_exp.config.composing.compose_sweep import Sweep, digest_of
-    from wheelleg_exp.jobs.run_sweep import JOBS, run_of_queued
+    from wheelleg_exp.jobs.run_sweep import JOBS, REQUEST, last_event, require_harmless
     from wheelleg_exp.jobs.training_job import JobRequest, resume_request
     from wheelleg_exp.run.file_inventory import MANIFEST_NAME
     from wheelleg_exp.run.manifest import Manifest
+    from wheelleg_exp.run.run_config import require_overrides
     from wheelleg_exp.run.run_index import MULTIRUN_NAME
 
     folders, requests = [str(folder) for folder in args.config_dirs], []
     for job in index.unfinished():
         # A job can have started or finished after the process of the sweep ended.
-        run = index.run_of(job) or run_of_queued(index.folder / JOBS / str(job["number"]))
+        place = index.folder / JOBS / str(job["number"])
+        queued = index.data["status"] == "running" and (place / REQUEST).is_file()
+        if queued and last_event(place, "ended") is None:
+            expected = f"an ended job: cancel it in the queue, and delete {place / REQUEST}"
+            raise RunDirectoryError(f"job {job['number']} may still be in the queue", expected=expected)
+        event = last_event(place, "run")
+        run = index.run_of(job) or (Path(event["path"]) if event else None)
+        if run is not None:
+            index.require_inside(run.resolve())
         if run is None or not (run / MANIFEST_NAME).is_file():
+            if (folder := index.data["working_directory"]) != str(Path.cwd()):
+                message = f"job {job['number']} has no run, and the sweep was started in another folder"
+                raise RunDirectoryError(message, key=str(index.path), expected=f"this command in {folder}")
             words = job["overrides"]
-            digest = digest_of(compose_valid(words, config_dirs=args.config_dirs))
-            requests.append(JobRequest("train", words, folders, _alone(words, _named(args.config_dirs)), digest))
+            require_overrides(words, index.path)
+            composed = compose_valid(words, config_dirs=args.config_dirs)
+            index.require_inside(Path(composed.config["run"]["root"]).resolve())
+            command = _alone(words, _named(args.config_dirs))
+            requests.append(JobRequest("train", words, folders, command, digest_of(composed)))
             continue
         manifest, job["run"] = Manifest.load(run), index.relative(run)
         if manifest.status == "finished":
             job["status"], job["results"] = "finished", manifest.results
         else:
-            requests.append(resume_request(run, folders, args.overrides))
-    index.restart()
+            requests.append(resume_request(run, folders))
     launcher = index.data["launcher"]
     multirun = DictConfig(read_yaml(index.folder / MULTIRUN_NAME))
     sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
+    require_harmless(sweep.settings(index.folder), index.folder / MULTIRUN_NAME)
     with ConsoleSweepDisplay() as display:
         display.say(f"jobs to resume: {len(requests)} of {len(index.jobs)}; index: {shown(index.path)}")
         status = _run_sweep(index, sweep, requests, display, stop)

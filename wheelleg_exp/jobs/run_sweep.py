@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import socket
 import sys
 import time
@@ -65,8 +66,8 @@ class QueueWorker:
         place = Path(folder)
         request = json.loads((place / REQUEST).read_text(encoding="utf-8"))
         order = JobRequest(**json.loads(request["line"]))
-        if (run := run_of_queued(place)) is not None:
-            order = resume_request(run, order.config_dirs)
+        if (event := last_event(place, "run")) is not None:
+            order = resume_request(Path(event["path"]), order.config_dirs)
         self._write(place, {"event": "began", "host": socket.gethostname(), "pid": os.getpid()})
         same = all(Path(entry).exists() for entry in request["path"])
         path = request["path"] if same else sys.path  # The submitting machine may import from other folders.
@@ -77,7 +78,7 @@ class QueueWorker:
             return self._relayed.result()
 
     def checkpoint(self, folder: str) -> DelayedSubmission | None:
-        """Stop the job after a checkpoint, and return what the queue must run again; None if the job has ended.
+        """Stop the job after a checkpoint, and return what the queue must run again, or None.
 
         submitit calls this method at a preemption and at the time limit of the job.
         """
@@ -90,7 +91,7 @@ class QueueWorker:
                 self._child.kill()
             if self._relayed.result() != "interrupted":
                 return None
-        return DelayedSubmission(QueueWorker(), folder)
+        return None if (Path(folder) / STOP).exists() else DelayedSubmission(QueueWorker(), folder)
 
     def _relay(self, child: Child, place: Path) -> str:
         """Copy the events of the job's process to ``events.jsonl``, and pass stop requests to the process."""
@@ -107,7 +108,8 @@ class QueueWorker:
         message = f"its process on {socket.gethostname()} {child.describe_death()}"
         ended = child.ended or {"event": "ended", "status": "failed", "error": {"type": "error", "message": message}}
         child.close()
-        if self._preempted and (child.ended is None or ended["status"] == "interrupted"):
+        again = self._preempted and not (place / STOP).exists()
+        if again and (child.ended is None or ended["status"] == "interrupted"):
             ended = {"event": "preempted", "status": "interrupted"}
         self._write(place, ended)
         return str(ended["status"])
@@ -121,12 +123,12 @@ class QueueWorker:
             file.write(json.dumps(event) + "\n")
 
 
-def run_of_queued(folder: Path) -> Path | None:
-    """Return the run directory of a queued job; None if the job has not created its run directory."""
-    events: list[Event | None] = []
+def last_event(folder: Path, kind: str) -> Event | None:
+    """Return the last event of a kind, such as ``run`` or ``ended``, that a queued job wrote; None without one."""
+    found: list[Event | None] = []
     with suppress(OSError):
-        events = [parse_event(line) for line in (folder / EVENTS).read_text(errors="replace").splitlines()]
-    return next((Path(event["path"]) for event in events if event and event["event"] == "run"), None)
+        found = [parse_event(line) for line in (folder / EVENTS).read_text(errors="replace").splitlines()]
+    return next((event for event in reversed(found) if event and event["event"] == kind), None)
 
 
 class QueuedJob:
@@ -254,6 +256,7 @@ _SHARED_SETTINGS = (
     *("mem_gb", "nodes", "name", "stderr_to_stdout"),
 )
 _EXECUTOR_SETTINGS = ("max_num_timeout",)
+_REFUSED = ("python", "additional_parameters", "runtime_env", "address")  # They select a program or a Ray cluster.
 _OTHER_SETTINGS = ("_target_", "submitit_folder", *_EXECUTOR_SETTINGS)
 
 
@@ -375,6 +378,17 @@ def make_launcher(name: str, settings: Mapping[str, object], folder: Path) -> Lo
     return RayLauncher(settings, folder) if name == "ray" else LocalLauncher()
 
 
+def require_harmless(settings: Mapping[str, object], path: Path) -> None:
+    """Raise RunDirectoryError for a launcher setting from the file ``path`` that could run a foreign program."""
+    for key, value in settings.items():
+        text = str(value).removeprefix(f"{path.parent}/.submitit/")
+        if isinstance(value, Mapping) and key not in _REFUSED:
+            require_harmless(value, path)
+        elif value and (key in _REFUSED or isinstance(value, list) or not re.fullmatch(r"[^/\n]*", text)):
+            expected = "numbers and names: remove the setting, or resume each run of the sweep with 'wheelleg resume'"
+            raise RunDirectoryError(f"a resume does not trust the setting '{key}'", where=str(path), expected=expected)
+
+
 class SweepDisplay(Protocol):
     """Shows the progress of a sweep. The argument ``job`` is one job's dictionary from the sweep's index file."""
 
@@ -387,8 +401,8 @@ class SweepDisplay(Protocol):
     def ended(self, job: JobEntry) -> None:
         """Show how a job ended."""
 
-    def note(self, job: JobEntry, text: str) -> None:
-        """Show a line of text about a job of the sweep."""
+    def note(self, job: JobEntry, text: str, *, once: bool = True) -> None:
+        """Show a line of text about a job of the sweep; if ``once`` is true, equal lines are shown once."""
 
 
 class SweepRunner:
@@ -468,7 +482,7 @@ class SweepRunner:
                 self._display.started(job)
             elif kind == "preempted":
                 self._index.update(job["number"], status="waiting")
-                self._display.note(job, "preempted; it waits in the queue and will resume")
+                self._display.note(job, "stopped by the queue, with a checkpoint", once=False)
             elif kind == "run":
                 self._index.update(job["number"], run=self._index.relative(Path(event["path"])))
             elif kind == "iteration":
@@ -491,6 +505,9 @@ class SweepRunner:
 
     def _outcome(self, entry: JobEntry, job: Job) -> tuple[JobStatus, Mapping[str, object], object]:
         """Return status, results, and error of a job: from its manifest if possible, else from its process."""
+        # A resume can fail before it changes the manifest.
+        if job.ended is not None and job.ended["status"] == "failed" and job.ended["error"]:
+            return "failed", {}, job.ended["error"]
         run = self._index.run_of(entry)
         if run is not None:
             with contextlib.suppress(RunDirectoryError):

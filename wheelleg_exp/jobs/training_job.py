@@ -44,10 +44,9 @@ class JobRequest:
         return json.dumps(asdict(self)).encode() + b"\n"
 
 
-def resume_request(run: Path, config_dirs: list[str], overrides: Sequence[str] = ()) -> JobRequest:
+def resume_request(run: Path, config_dirs: list[str]) -> JobRequest:
     """Return the request to resume the run in a run directory."""
-    command = ["wheelleg", "resume", str(run), *overrides]
-    return JobRequest("resume", list(overrides), config_dirs, command, run=str(run))
+    return JobRequest("resume", [], config_dirs, ["wheelleg", "resume", str(run)], run=str(run))
 
 
 def job_program(path: Sequence[str] | None = None) -> tuple[str, ...]:

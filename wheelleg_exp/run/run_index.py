@@ -24,7 +24,7 @@ from wheelleg_exp.run.run_directory import (
     checkpoint_iteration,
     create_exclusively,
 )
-from wheelleg_exp.run.run_lock import ProcessId, this_process
+from wheelleg_exp.run.run_lock import ProcessId, is_alive, this_process
 from wheelleg_exp.run.timestamps import folder_text, utc_now, utc_text
 
 SWEEP_NAME, MULTIRUN_NAME = "sweep.json", "multirun.yaml"
@@ -46,6 +46,19 @@ class JobEntry(TypedDict):
     ended: str | None
     results: Mapping[str, object]
     error: object
+
+
+class _Launcher(TypedDict):
+    name: str
+    at_once: int
+
+
+class _SweepData(TypedDict):
+    status: str
+    working_directory: str
+    launcher: _Launcher
+    jobs: list[JobEntry]
+    process: ProcessId | None
 
 
 class _Reasons(TypedDict, total=False):
@@ -105,6 +118,7 @@ class _RunIndex:
     folder: Path
     data: dict[str, Any]
 
+    DATA: ClassVar[type]
     KIND: ClassVar[str]
     ENTRIES: ClassVar[str]
     FILE: ClassVar[str]
@@ -141,7 +155,21 @@ class _RunIndex:
         if data.get("format") != _FORMAT:
             message = f"{cls.KIND} format {data.get('format')!r} is unknown"
             raise RunDirectoryError(message, where=str(path), expected=f"format {_FORMAT}")
+        read_record(cls.DATA, data, f"{cls.FILE} is damaged", path)
         return cls(path.parent.resolve(), data)
+
+    def require_ended(self) -> None:
+        """Raise RunDirectoryError if the process that wrote the index still runs."""
+        if self.data["status"] == "running" and is_alive(self.data["process"]):
+            message, expected = f"this {self.KIND} is still running", "one that has ended: wait for it"
+            raise RunDirectoryError(message, key=str(self.path), expected=expected)
+
+    def require_inside(self, path: Path) -> None:
+        """Raise RunDirectoryError if ``path`` is outside the folder of runs that contains this index."""
+        root = self.folder.parents[1]
+        if not Path(os.path.normpath(self.folder / path)).is_relative_to(root):
+            message = f"the {self.KIND} names '{path}'"
+            raise RunDirectoryError(message, where=str(self.path), expected=f"a path below {root}")
 
     @property
     def path(self) -> Path:
@@ -165,7 +193,7 @@ class SweepIndex(_RunIndex):
     started is ``waiting``. The ``run`` of a job is relative to the sweep's folder.
     """
 
-    KIND, ENTRIES, FILE, SECTION = "sweep", "jobs", SWEEP_NAME, SWEEPS
+    DATA, KIND, ENTRIES, FILE, SECTION = _SweepData, "sweep", "jobs", SWEEP_NAME, SWEEPS
 
     @classmethod
     def create(
@@ -231,7 +259,7 @@ class PipelineIndex(_RunIndex):
     ``status`` is ``running``, ``finished``, ``failed``, ``interrupted``, or ``stopped`` if a phase did not pass.
     """
 
-    KIND, ENTRIES, FILE, SECTION = "pipeline", "phases", PIPELINE_NAME, PIPELINES
+    DATA, KIND, ENTRIES, FILE, SECTION = _PipelineData, "pipeline", "phases", PIPELINE_NAME, PIPELINES
 
     @classmethod
     def create(
@@ -279,19 +307,11 @@ class PipelineIndex(_RunIndex):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read a pipeline's index file from a folder, and check the type of each value in the index file."""
+        """Read a pipeline's index file from a folder, and check that all its runs are in its folder of runs."""
         index = super().load(folder)
-        read_record(_PipelineData, index.data, "pipeline.json is damaged", index.path)
         for path in (index.root, *filter(None, map(index.run_of, index.phases))):
             index.require_inside(path)
         return index
-
-    def require_inside(self, path: Path) -> None:
-        """Raise RunDirectoryError if ``path`` is outside the folder of runs that contains this pipeline."""
-        root = self.folder.parents[1]
-        if not Path(os.path.normpath(self.folder / path)).is_relative_to(root):
-            message = f"the pipeline names '{path}'"
-            raise RunDirectoryError(message, where=str(self.path), expected=f"a path below {root}")
 
     @property
     def root(self) -> Path:

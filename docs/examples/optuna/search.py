@@ -49,9 +49,9 @@ def main() -> None:
     def objective(trial: optuna.Trial) -> float:
         words = ["train", *(suggest(trial, override) for override in overrides)]
         for total in args.iterations:
-            told = wheelleg(*words, f"agent.max_iterations={total}")
-            words, value = ["resume", told["run"]], float(told["results"][args.figure])
-            trial.set_user_attr("run", told["run"])
+            trained = wheelleg(*words, f"agent.max_iterations={total}")
+            words, value = ["resume", trained["run"]], float(trained["results"][args.figure])
+            trial.set_user_attr("run", trained["run"])
             trial.report(value, total)
             if total < args.iterations[-1] and trial.should_prune():
                 raise optuna.TrialPruned
@@ -70,8 +70,8 @@ def main() -> None:
     study.optimize(objective, callbacks=[enough], catch=RuntimeError)
     iterations = sum(max(trial.intermediate_values, default=0) for trial in study.trials)
     best = study.best_trial
-    told = {"run": best.user_attrs["run"], "params": best.params, "value": best.value, "iterations": iterations}
-    sys.stdout.write(json.dumps(told) + "\n")
+    result = {"run": best.user_attrs["run"], "params": best.params, "value": best.value, "iterations": iterations}
+    sys.stdout.write(json.dumps(result) + "\n")
 
 
 if __name__ == "__main__":

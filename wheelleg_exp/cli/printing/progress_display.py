@@ -178,9 +178,9 @@ class ConsoleSweepDisplay(LiveLines):
         why = f": {error['message']}" if isinstance(error, Mapping) and job["status"] == "failed" else ""
         self.say(f"{_title(job)} {job['status']}{why}")
 
-    def note(self, job: JobEntry, text: str) -> None:
-        """Print the note ``text`` of a sweep job, unless the same note was already printed."""
-        if text not in self._shown:
+    def note(self, job: JobEntry, text: str, *, once: bool = True) -> None:
+        """Print the note ``text`` of a sweep job, unless ``once`` is true and the same note was already printed."""
+        if not once or text not in self._shown:
             self._shown.add(text)
             self.say(hanging(f"job {job['number']}: {text}", 4))
 

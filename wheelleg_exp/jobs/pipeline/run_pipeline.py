@@ -44,7 +44,6 @@ from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.run_config import require_overrides
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_index import PhaseEntry, PipelineIndex, PipelineStatus
-from wheelleg_exp.run.run_lock import is_alive
 from wheelleg_exp.run.timestamps import utc_now, utc_text
 from wheelleg_exp.stop_request import StopRequest
 from wheelleg_exp.terms.config_sections import read_section, section_errors
@@ -430,9 +429,7 @@ def resume_pipeline(
     ``overrides`` change its phases, such as ``pipeline.phases.walk.max_iterations=600``. If ``config_dirs`` is empty,
     the recorded config folders are used.
     """
-    if index.data["status"] == "running" and is_alive(index.data.get("process")):
-        message = "this pipeline is still running"
-        raise RunDirectoryError(message, key=str(index.path), expected="one that has ended: wait for it")
+    index.require_ended()
     if index.data["status"] == "finished":
         raise RunDirectoryError("this pipeline is finished", key=str(index.path), expected="one that was stopped")
     for text in overrides:
