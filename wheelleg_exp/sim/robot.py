@@ -161,12 +161,14 @@ class Robot(Stateful):
                     self._ctrl[:, start:stop] = actuator.act(targets, data)
             start = stop
         self._has_new_targets = False
-        bodies = list(self._wrench_bodies)
-        if bodies == [0]:  # The root link's rotation is part of qpos, so this case needs no forward kinematics.
+        bodies = self._wrench_bodies
+        if bodies == (0,):  # The root link's rotation is part of qpos, so this case needs no forward kinematics.
             self._root_xfrc.copy_((data.root_rot_w.permute(1, 2, 0) * self._root_wrench).sum(dim=2))
         elif bodies:
-            world = data.body_rot_w[:, bodies] @ self._wrench[:, bodies]
-            self._xfrc[:, self.body_ids[bodies]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
+            # A CUDA graph cannot contain a list of indices, because it would have to be copied to the GPU.
+            ids = torch.cat([self.all_body_ids[body : body + 1] for body in bodies])
+            world = data.body_rot_w[:, ids] @ self._wrench[:, ids]
+            self._xfrc[:, self.body_ids[ids]] = world.mT.reshape(-1, len(bodies), 6).to(self._sim.dtype)
 
     def reset(self, env_ids: Ids = None) -> None:
         """Clear the external wrenches and the reported torques of the environments ``env_ids``."""
