@@ -54,6 +54,14 @@ def test_every_finding_on_a_stock_task_is_silenced_with_a_reason(task, capsys):
     assert all(len(finding["reason"]) > 20 for finding in report["silenced"])
 
 
+def test_a_silence_in_a_file_is_not_about_a_value_of_the_user(capsys):
+    pushed = "env.events.push_robot.velocity_range.x=[-3,3]"
+    _, report = physics(capsys, "task=walk", pushed)
+    assert [(f["rule"], f["where"]) for f in report["findings"]] == [("push_size", f"override {pushed}")]
+    status, report = physics(capsys, "task=walk", pushed, "++check.silence.push_size=a fall is wanted")
+    assert status == 0 and "a fall is wanted" in [f["reason"] for f in report["silenced"]]
+
+
 def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_effect(capsys):
     wrong = "agent.algorithm.num_mini_batches=7"
     status, report = physics(capsys, wrong, "++check.silence.ppo_batch=rest is dropped")

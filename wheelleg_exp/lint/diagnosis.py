@@ -235,8 +235,8 @@ def diagnose_task(composed: Composed) -> Diagnosis:
     tried = [replace(f, where=composed.provenance.where(f.key)) for f in RULES["reward_outweighs"](case)]
     order = {name: place for place, name in enumerate(OF_TASK)}
     ours = sorted((f for f in (*report.findings, *tried) if f.rule in order), key=lambda finding: order[finding.rule])
-    silenced = tuple((finding, report.reasons[finding.rule]) for finding in ours if finding.rule in report.reasons)
-    found = tuple(finding for finding in ours if finding.rule not in report.reasons)
+    silenced = tuple((finding, report.reasons[finding.rule]) for finding in ours if report.silences(finding))
+    found = tuple(finding for finding in ours if not report.silences(finding))
     subject = f"task={report.case.config.task.name}"
     return Diagnosis(subject, report.case, found, silenced, tuple(notes_on(report.case)))
 

@@ -26,21 +26,32 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 
 @dataclass(frozen=True)
 class PhysicsReport:
-    """The findings of ``wheelleg check --physics`` for one config, and the config's reasons to silence lint rules."""
+    """The findings of ``wheelleg check --physics`` for one config, and the config's reasons to silence lint rules.
+
+    ``overridden`` are the keys that overrides set. A silence in a file is about the values in files, so it does not
+    apply to a finding about an overridden value.
+    """
 
     case: Case
     findings: tuple[Finding, ...]
     reasons: Mapping[str, str]
+    overridden: frozenset[str] = frozenset()
 
     @property
     def open(self) -> list[Finding]:
-        """The findings of all lint rules that the config does not silence in ``check.silence``."""
-        return [finding for finding in self.findings if finding.rule not in self.reasons]
+        """The findings that the config does not silence in ``check.silence``."""
+        return [finding for finding in self.findings if not self.silences(finding)]
 
     @property
     def silenced(self) -> list[Finding]:
-        """The findings of all lint rules that the config silences in ``check.silence``."""
-        return [finding for finding in self.findings if finding.rule in self.reasons]
+        """The findings that the config silences in ``check.silence``."""
+        return [finding for finding in self.findings if self.silences(finding)]
+
+    def silences(self, finding: Finding) -> bool:
+        """Return whether the config silences a finding."""
+        if finding.rule not in self.reasons or f"check.silence.{finding.rule}" in self.overridden:
+            return finding.rule in self.reasons
+        return not any(key == finding.key or key.startswith(f"{finding.key}.") for key in self.overridden)
 
     @property
     def unused(self) -> list[str]:
@@ -99,7 +110,8 @@ def examine(composed: Composed) -> PhysicsReport:
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
     silences = [config.env.robot.silence, config.check.silence if config.check is not None else {}]
     reasons = {name: why for given in silences for name, why in given.items() if why is not None}
-    return PhysicsReport(case, tuple(placed), reasons)
+    overridden = frozenset(key for key, source in composed.provenance.items() if source.override is not None)
+    return PhysicsReport(case, tuple(placed), reasons, overridden)
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
