@@ -5,6 +5,6 @@ An import of ``wheelleg_exp`` registers the package's Gymnasium environments.
 
 from wheelleg_exp.gym import register_with_gymnasium
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 register_with_gymnasium()

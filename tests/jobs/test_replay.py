@@ -175,11 +175,12 @@ def test_a_killed_run_is_replayed_as_far_as_it_came(run, clones):
         ended=None,
         process=made["process"] | {"boot_id": "another"},
         files={name: entry for name, entry in made["files"].items() if name.startswith(snapshot)},
-        versions=made["versions"] | {"torch": "1.0.0"},
+        versions=made["versions"] | {"torch": "1.0.0", "wheelleg_exp": "0.1.0"},
         environment_variables=made["environment_variables"] | {"OMP_NUM_THREADS": "1", "LD_PRELOAD": "their.so"},
     )
     said, found = replay(run, *of(clones))
     assert "differs: torch was 1.0.0, is " in said.err
+    assert "wheelleg_exp was" not in said.err
     assert "OMP_NUM_THREADS" not in said.err
     assert "differs: LD_PRELOAD was their.so, is None" in said.err
     assert said.status == 0, said.err

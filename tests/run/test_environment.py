@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from packaging.requirements import Requirement
 
+import wheelleg_exp
 from wheelleg_exp import machine
 from wheelleg_exp.run import environment
 
@@ -106,10 +107,11 @@ def test_the_cpu_is_read_from_the_first_block(tmp_path, monkeypatch):
     assert environment.hardware().items() >= facts.items()
 
 
-def test_an_absent_distribution_has_no_version(monkeypatch):
-    monkeypatch.setattr(environment, "_DISTRIBUTIONS", ("wheelleg_exp", "no-such-thing"))
+def test_the_program_has_the_version_of_its_code_and_an_absent_distribution_none(monkeypatch):
+    monkeypatch.setattr(environment, "_DISTRIBUTIONS", ("no-such-thing",))
+    monkeypatch.setattr(wheelleg_exp, "__version__", "7.0.0")  # An editable installation names an older version.
     found = environment.versions()
-    assert (found["no-such-thing"], bool(found["wheelleg_exp"])) == (None, True)
+    assert (found["no-such-thing"], found["wheelleg_exp"]) == (None, "7.0.0")
 
 
 def test_the_part_loads_neither_torch_nor_mujoco():

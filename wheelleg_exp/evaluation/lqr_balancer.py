@@ -28,7 +28,7 @@ Array = np.ndarray
 
 # The LQR cost weights position, pitch, speed, and pitch rate in units of the pendulum's height and of gravity, and the
 # input in units of the one that accelerates the axle with 1 g. The weights were chosen once for four robots: with a
-# smaller weight of the input, a robot survives larger kicks, until it shakes on its soft legs (docs/comparing.md).
+# smaller weight of the input, a robot survives larger kicks, until it shakes on its soft legs.
 _STATES = (3e-4, 1.0, 0.01, 0.1)
 _INPUT = 0.06
 _HEADING = 4.0  # gain, 1/s

@@ -19,7 +19,7 @@ from wheelleg_exp.run.git_commands import without_credentials
 
 # The Python packages whose versions can change a run's numbers or files.
 _DISTRIBUTIONS = (
-    *("wheelleg_exp", "mujoco-core", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core"),
+    *("mujoco-core", "torch", "rsl-rl-lib", "numpy", "tensordict", "gymnasium", "hydra-core"),
     *("omegaconf", "usd-core", "rerun-sdk", "tensorboard", "onnx", "mujoco-warp", "warp-lang"),
 )
 
@@ -48,13 +48,12 @@ _CPU_FLAGS = re.compile(r"(avx|fma|amx|f16c|sse4|bf16|asimd|sve)\w*")
 
 def versions() -> dict[str, str | None]:
     """Return the versions of Python and of the packages that affect a run; None for a package that is not installed."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
+    found: dict[str, str | None] = {"python": platform.python_version(), "wheelleg_exp": wheelleg_exp.__version__}
     for name in _DISTRIBUTIONS:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             found[name] = None
-    found["wheelleg_exp"] = found["wheelleg_exp"] or wheelleg_exp.__version__
     return found
 
 

@@ -320,7 +320,8 @@ def replay(
         notes += [*_resume_notes(manifest), *source.notes]
         environ = _environ(run, manifest)
         now = ProcessFacts(versions=versions(), hardware=hardware(), environment_variables=variables(environ))
-        machine = environment_differences(manifest.facts.processes, [now], UNKNOWN_BEFORE_TORCH)
+        unknown = (*UNKNOWN_BEFORE_TORCH, "wheelleg_exp")  # The restored source has the version of the run.
+        machine = environment_differences(manifest.facts.processes, [now], unknown)
         _report(display, source, machine, notes)
         stop.check()
         request = _request(run, manifest, total, root, workplace, source, command)
