@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+import wheelleg_exp
 from wheelleg_exp.errors import WheellegError
 
 WORKERS = Path(__file__).resolve().parent / "converter_workers"
@@ -39,7 +40,7 @@ class Tool:
     @property
     def version(self) -> str:
         """Return the names and versions of the packages that the tool uses."""
-        own = (f"wheelleg_exp=={metadata.version('wheelleg_exp')}", f"mujoco-core=={metadata.version('mujoco-core')}")
+        own = (f"wheelleg_exp=={wheelleg_exp.__version__}", f"mujoco-core=={metadata.version('mujoco-core')}")
         return " ".join(self.pins or own) + (f", {self.note}" if self.note else "")
 
 
@@ -64,7 +65,7 @@ TOOLS = {
     tool.name: tool
     for tool in (
         Tool("wheelleg", (), _wheelleg),
-        Tool("mujoco-usd", ("mujoco==4.0.0", "mujoco-usd==4.0.0", "usd-core==25.11"), _mujoco_usd),
+        Tool("mujoco-usd", ("mujoco-core==4.0.1", "mujoco-usd==4.0.1", "usd-core==25.11"), _mujoco_usd),
         Tool("newton", NEWTON, _newton(), "SolverMuJoCo(save_to_mjcf=...)"),
         Tool("newton-resolvers", NEWTON, _newton("resolvers"), "with the MuJoCo, PhysX and Newton schema resolvers"),
     )

@@ -164,6 +164,14 @@ def with_current(folders: Sequence[Path]) -> list[Path]:
     return found
 
 
+def without_current(folders: Sequence[Path]) -> list[Path]:
+    """Return the config folders without that of the current project, because commands always search this folder."""
+    own: list[Path] = []
+    with suppress(ConfigError):
+        own = with_current([])
+    return [folder for folder in folders if folder not in own]
+
+
 def _resolved(folder: Path) -> Path:
     try:
         return config_folder(folder)

@@ -37,6 +37,7 @@ from wheelleg_exp.files import write_json
 from wheelleg_exp.jobs import run_sweep as runner_module
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.recording.reading.recording_digest import entity_digests
+from wheelleg_exp.run import run_list
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_index import SweepIndex
 from wheelleg_exp.run.run_list import list_runs
@@ -270,7 +271,7 @@ def test_an_interrupt_stops_the_sweep_and_leaves_the_trained_runs(tmp_path, tmp_
     assert b"0 of 2 jobs finished" in out
 
 
-def test_only_one_process_runs_a_sweep_and_a_job_that_may_still_be_queued_is_not_run_twice(tmp_path):
+def test_only_one_process_runs_a_sweep_and_a_job_that_may_still_be_queued_is_not_run_twice(monkeypatch, tmp_path):
     facts = {"name": "submitit_slurm", "at_once": 1}  # This machine has no Slurm, and without jobs none is needed.
     index = SweepIndex.create("runs", command=[], launcher=facts, jobs=[([], [])])
     write_json(index.folder / "multirun.yaml", {"hydra": {"launcher": {}, "sweep": {}, "job": {}}})
@@ -286,10 +287,30 @@ def test_only_one_process_runs_a_sweep_and_a_job_that_may_still_be_queued_is_not
     assert refused("accepts no overrides", "agent.max_iterations=9")
     write_json(index.folder / "jobs" / "1" / "request.json", {})
     assert refused("job 1 may still be in the queue")
+    early = SweepIndex.load(index.folder)
     index.update(1, status="finished")
     with RunLock(index.folder):
         assert refused("is being written by process")
+    monkeypatch.setattr(run_list, "open_sweep", lambda name, root: early)  # Another resume has ended in between.
     assert (wheelleg(*again).status, _index()["status"]) == (0, "finished")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[",
+        "",
+        "hydra: 3",
+        "hydra: {launcher: 3, sweep: {}, job: {}}",
+        "hydra: {sweep: {}, job: {}, launcher: {a: '${b}'}}",
+    ],
+)
+def test_a_damaged_config_of_a_sweep_is_one_message(tmp_path, text):
+    index = SweepIndex.create("runs", command=[], launcher={"name": "basic", "at_once": 1}, jobs=[])
+    index.finish("interrupted")
+    (index.folder / "multirun.yaml").write_text(text)
+    said = wheelleg("resume", "--sweep", "latest")
+    assert (said.status, said.err.count("\n"), "multirun.yaml" in said.err) == (2, 1, True), said.err
 
 
 @pytest.mark.train

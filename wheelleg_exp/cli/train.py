@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext, redirect_stdout, suppress
+from contextlib import nullcontext, redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -22,12 +22,11 @@ from wheelleg_exp.errors import (
     EXIT_OK,
     ConfigError,
     Interrupted,
-    RunDirectoryError,
     SimulationFailure,
     WheellegError,
 )
-from wheelleg_exp.files import read_json, read_yaml, write_text
-from wheelleg_exp.packages import with_current
+from wheelleg_exp.files import read_json, write_text
+from wheelleg_exp.packages import without_current
 from wheelleg_exp.terms.key_syntax import names_pipeline
 from wheelleg_exp.torchrun import require_alone, world_size
 
@@ -188,11 +187,11 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
 
         from omegaconf import OmegaConf
 
-        from wheelleg_exp.jobs.training_job import JobRequest
+        from wheelleg_exp.jobs.training_job import train_request
         from wheelleg_exp.run.run_index import MULTIRUN_NAME, SweepIndex
+        from wheelleg_exp.run.run_lock import RunLock
 
-        at_once, named = _at_once(sweep), _named(args.config_dirs)
-        folders = [str(folder) for folder in args.config_dirs]
+        at_once = _at_once(sweep)
         root, facts = sweep.jobs[0].config["run"]["root"], {"name": sweep.launcher, "at_once": at_once}
         entries = [(job.overrides, job.swept) for job in sweep.jobs]
         index = SweepIndex.create(root, command=args.command, launcher=facts, jobs=entries)
@@ -202,30 +201,26 @@ def train_all(args: argparse.Namespace, stop: StopRequest) -> int:
         crowded = _crowded(sweep, at_once)
         if crowded:
             display.say(f"warning: {crowded}")
-        requests = [
-            JobRequest("train", list(job.overrides), folders, _alone(job.overrides, named), job.digest)
-            for job in sweep.jobs
-        ]
-        status = _run_sweep(index, sweep, requests, display, stop)
+        requests = [train_request(job.overrides, args.config_dirs, job.digest) for job in sweep.jobs]
+        with RunLock(index.folder):
+            status = _run_sweep(index, sweep, requests, display, stop)
     return _print_sweep(args, index, status)
 
 
 def _run_sweep(
     index: SweepIndex, sweep: Sweep, requests: Sequence[JobRequest], display: SweepDisplay, stop: StopRequest
 ) -> SweepStatus:
-    """Run the unfinished jobs of a sweep's index with the sweep's launcher."""
+    """Run the unfinished jobs of a sweep's index with the sweep's launcher; the caller has the lock of the sweep."""
     from wheelleg_exp.jobs.run_sweep import SweepRunner, make_launcher
-    from wheelleg_exp.run.run_lock import RunLock
 
-    with RunLock(index.folder):
-        index.restart()
-        try:
-            settings = sweep.settings(index.folder)
-            launcher = make_launcher(sweep.launcher, settings, index.folder) if requests else None
-        except WheellegError:
-            index.finish("failed")
-            raise
-        return SweepRunner(index, requests, index.data["launcher"]["at_once"], display, stop, launcher).run()
+    index.restart()
+    try:
+        settings = sweep.settings(index.folder)
+        launcher = make_launcher(sweep.launcher, settings, index.folder) if requests else None
+    except WheellegError:
+        index.finish("failed")
+        raise
+    return SweepRunner(index, requests, index.data["launcher"]["at_once"], display, stop, launcher).run()
 
 
 def _print_sweep(args: argparse.Namespace, index: SweepIndex, status: SweepStatus) -> int:
@@ -233,7 +228,7 @@ def _print_sweep(args: argparse.Namespace, index: SweepIndex, status: SweepStatu
         jobs = [{**job, "run": None if job["run"] is None else str(index.run_of(job))} for job in index.jobs]
         print_json({"sweep": str(index.folder), **index.data, "jobs": jobs})
     else:
-        _print_report(index, _named(args.config_dirs))
+        _print_report(index, without_current(args.config_dirs))
     return _STATUS[status]
 
 
@@ -247,62 +242,17 @@ def resume_sweep(args: argparse.Namespace, stop: StopRequest) -> int:
     index = open_sweep(args.run, Path(args.root))
     index.require_ended()
 
-    from omegaconf import DictConfig
-
     from wheelleg_exp.cli.printing.progress_display import ConsoleSweepDisplay
-    from wheelleg_exp.config.checking.find_mistakes import compose_valid
-    from wheelleg_exp.config.composing.compose_sweep import Sweep, digest_of
-    from wheelleg_exp.jobs.run_sweep import JOBS, REQUEST, last_event, require_harmless
-    from wheelleg_exp.jobs.training_job import JobRequest, resume_request
-    from wheelleg_exp.run.file_inventory import MANIFEST_NAME
-    from wheelleg_exp.run.manifest import Manifest
-    from wheelleg_exp.run.run_config import require_overrides
-    from wheelleg_exp.run.run_index import MULTIRUN_NAME
+    from wheelleg_exp.jobs.run_sweep import recorded_sweep, remaining_requests
+    from wheelleg_exp.run.run_index import SweepIndex
+    from wheelleg_exp.run.run_lock import RunLock
 
-    folders, requests = [str(folder) for folder in args.config_dirs], []
-    for job in index.unfinished():
-        # A job can have started or finished after the process of the sweep ended.
-        place = index.folder / JOBS / str(job["number"])
-        queued = index.data["status"] == "running" and (place / REQUEST).is_file()
-        if queued and last_event(place, "ended") is None:
-            expected = f"an ended job: cancel it in the queue, and delete {place / REQUEST}"
-            raise RunDirectoryError(f"job {job['number']} may still be in the queue", expected=expected)
-        event = last_event(place, "run")
-        run = index.run_of(job) or (Path(event["path"]) if event else None)
-        if run is not None:
-            index.require_inside(run.resolve())
-        if run is None or not (run / MANIFEST_NAME).is_file():
-            if (folder := index.data["working_directory"]) != str(Path.cwd()):
-                message = f"job {job['number']} has no run, and the sweep was started in another folder"
-                raise RunDirectoryError(message, key=str(index.path), expected=f"this command in {folder}")
-            words = job["overrides"]
-            require_overrides(words, index.path)
-            composed = compose_valid(words, config_dirs=args.config_dirs)
-            index.require_inside(Path(composed.config["run"]["root"]).resolve())
-            command = _alone(words, _named(args.config_dirs))
-            requests.append(JobRequest("train", words, folders, command, digest_of(composed)))
-            continue
-        manifest, job["run"] = Manifest.load(run), index.relative(run)
-        if manifest.status == "finished":
-            job["status"], job["results"] = "finished", manifest.results
-        else:
-            requests.append(resume_request(run, folders))
-    launcher = index.data["launcher"]
-    multirun = DictConfig(read_yaml(index.folder / MULTIRUN_NAME))
-    sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
-    require_harmless(sweep.settings(index.folder), index.folder / MULTIRUN_NAME)
-    with ConsoleSweepDisplay() as display:
+    with RunLock(index.folder), ConsoleSweepDisplay() as display:
+        index = SweepIndex.load(index.folder)  # Another resume can have ended since the first read.
+        requests, sweep = remaining_requests(index, args.config_dirs), recorded_sweep(index)
         display.say(f"jobs to resume: {len(requests)} of {len(index.jobs)}; index: {shown(index.path)}")
         status = _run_sweep(index, sweep, requests, display, stop)
     return _print_sweep(args, index, status)
-
-
-def _named(config_dirs: Sequence[Path]) -> list[Path]:
-    """Return the folders without the current project's config folder, because commands always search this folder."""
-    own: list[Path] = []
-    with suppress(ConfigError):
-        own = with_current([])
-    return [folder for folder in config_dirs if folder not in own]
 
 
 def _at_once(sweep: Sweep) -> int:
@@ -320,11 +270,6 @@ def _joblib() -> ModuleType:
     for name in set(os.environ) - before:
         del os.environ[name]
     return joblib
-
-
-def _alone(overrides: Sequence[str], config_dirs: Sequence[Path]) -> list[str]:
-    """Return the command that trains one job of a sweep without the sweep's remaining jobs."""
-    return ["wheelleg", "train", *overrides, *(word for d in config_dirs for word in ("--config-dir", str(d)))]
 
 
 def _crowded(sweep: Sweep, at_once: int) -> str | None:

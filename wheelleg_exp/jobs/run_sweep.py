@@ -23,18 +23,22 @@ from typing import TYPE_CHECKING, Protocol, cast
 from wheelleg_exp.child_process import Child, Event, listen, parse_event
 from wheelleg_exp.config.tree_lookup import section_at
 from wheelleg_exp.errors import ConfigError, RunDirectoryError, WheellegError
-from wheelleg_exp.files import while_running, write_json, write_text
-from wheelleg_exp.jobs.training_job import JobRequest, job_program, resume_request
+from wheelleg_exp.files import read_yaml, require_mapping, while_running, write_json, write_text
+from wheelleg_exp.jobs.training_job import JobRequest, job_program, resume_request, train_request
 from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.environment import replay_environ, variables
+from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_index import JobEntry, JobStatus, SweepIndex, SweepStatus
+from wheelleg_exp.run.run_config import require_overrides
+from wheelleg_exp.run.run_index import MULTIRUN_NAME, JobEntry, JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.run.timestamps import utc_now, utc_text
 from wheelleg_exp.stop_request import StopRequest
 
 if TYPE_CHECKING:
     import submitit
     from submitit.helpers import DelayedSubmission
+
+    from wheelleg_exp.config.composing.compose_sweep import Sweep
 
 _LISTEN_S, _KILL_S = 0.2, 10.0
 
@@ -387,6 +391,72 @@ def require_harmless(settings: Mapping[str, object], path: Path) -> None:
         elif value and (key in _REFUSED or isinstance(value, list) or not re.fullmatch(r"[^/\n]*", text)):
             expected = "numbers and names: remove the setting, or resume each run of the sweep with 'wheelleg resume'"
             raise RunDirectoryError(f"a resume does not trust the setting '{key}'", where=str(path), expected=expected)
+
+
+def recorded_sweep(index: SweepIndex) -> Sweep:
+    """Return the launcher of a sweep from its file ``multirun.yaml``, with no setting that could run a program."""
+    from omegaconf import DictConfig
+    from omegaconf.errors import OmegaConfBaseException
+
+    from wheelleg_exp.config.composing.compose_sweep import Sweep
+
+    path, launcher = index.folder / MULTIRUN_NAME, index.data["launcher"]
+    multirun = DictConfig(require_mapping(read_yaml(path), path))
+    sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
+    try:
+        settings = sweep.settings(index.folder)
+    except (OmegaConfBaseException, AttributeError, AssertionError, TypeError, ValueError) as error:
+        message, expected = "the file contains no settings of a launcher", "the file that the sweep wrote"
+        raise RunDirectoryError(message, where=str(path), expected=expected) from error
+    require_harmless(settings, path)
+    return sweep
+
+
+def remaining_requests(index: SweepIndex, config_dirs: Sequence[Path]) -> list[JobRequest]:
+    """Return the requests that resume the unfinished runs of a sweep, and train its jobs that have no run.
+
+    A job can have started or finished after the process of the sweep ended: record its run and results in ``index``.
+    """
+    requests = []
+    for job in index.unfinished():
+        run = _started_run(index, job)
+        if run is None or not (run / MANIFEST_NAME).is_file():
+            requests.append(_first_request(index, job, config_dirs))
+            continue
+        manifest, job["run"] = Manifest.load(run), index.relative(run)
+        if manifest.status == "finished":
+            job["status"], job["results"] = "finished", manifest.results
+        else:
+            requests.append(resume_request(run, [str(folder) for folder in config_dirs]))
+    return requests
+
+
+def _started_run(index: SweepIndex, job: JobEntry) -> Path | None:
+    """Return the run directory of a job, also if only the job's events name it; refuse a job that may be queued."""
+    place = index.folder / JOBS / str(job["number"])
+    queued = index.data["status"] == "running" and (place / REQUEST).is_file()
+    if queued and last_event(place, "ended") is None:
+        expected = f"an ended job: cancel it in the queue, and delete {place / REQUEST}"
+        raise RunDirectoryError(f"job {job['number']} may still be in the queue", expected=expected)
+    event = last_event(place, "run")
+    run = index.run_of(job) or (Path(event["path"]) if event else None)
+    if run is not None:
+        index.require_inside(run.resolve())
+    return run
+
+
+def _first_request(index: SweepIndex, job: JobEntry, config_dirs: Sequence[Path]) -> JobRequest:
+    """Return the request to train a job that has no run, from its recorded overrides."""
+    from wheelleg_exp.config.checking.find_mistakes import compose_valid
+    from wheelleg_exp.config.composing.compose_sweep import digest_of
+
+    if (folder := index.data["working_directory"]) != str(Path.cwd()):
+        message = f"job {job['number']} has no run, and the sweep was started in another folder"
+        raise RunDirectoryError(message, key=str(index.path), expected=f"this command in {folder}")
+    require_overrides(job["overrides"], index.path)
+    composed = compose_valid(job["overrides"], config_dirs=config_dirs)
+    index.require_inside(Path(composed.config["run"]["root"]).resolve())
+    return train_request(job["overrides"], config_dirs, digest_of(composed))
 
 
 class SweepDisplay(Protocol):

@@ -15,7 +15,7 @@ from wheelleg_exp.child_process import Child, Event, EventPipe, job_events, serv
 from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.jobs.job_display import PipeDisplay
 from wheelleg_exp.machine import keep_kernels, own_environ
-from wheelleg_exp.packages import with_current
+from wheelleg_exp.packages import with_current, without_current
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.stop_request import StopRequest
 
@@ -42,6 +42,13 @@ class JobRequest:
     def line(self) -> bytes:
         """Return the job request as one line of JSON."""
         return json.dumps(asdict(self)).encode() + b"\n"
+
+
+def train_request(overrides: Sequence[str], config_dirs: Sequence[Path], digest: str) -> JobRequest:
+    """Return the request to train a new run whose config has the hash ``digest``."""
+    folders = (word for folder in without_current(config_dirs) for word in ("--config-dir", str(folder)))
+    command = ["wheelleg", "train", *overrides, *folders]
+    return JobRequest("train", list(overrides), [str(folder) for folder in config_dirs], command, digest)
 
 
 def resume_request(run: Path, config_dirs: list[str]) -> JobRequest:
