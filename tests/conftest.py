@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from wheelleg_exp.machine import prepare_threads, share_cores
+from wheelleg_exp.paths import cache_dir
 
 if TYPE_CHECKING:
     from jobs.small import Trained
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 # Set the variables before torch is imported; child processes inherit them and compute the same numbers.
 prepare_threads()
 share_cores()
+
+# Kernels of Warp take 30 s to compile, so all processes share the user's cache, also with another WHEELLEG_CACHE.
+os.environ.setdefault("WARP_CACHE_PATH", str(cache_dir() / "warp"))
 
 # With nohup or a shell's "&", signals are ignored in this process and in all child processes.
 signal.signal(signal.SIGINT, signal.default_int_handler)
