@@ -39,7 +39,7 @@ def copied_policies(own_folders, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_shipped_policy_balances_eight_robots(own_folders, name):
-    said = wheelleg("play", f"stock:{name}", "env.num_envs=8", *QUICK)
+    said = wheelleg("play", f"stock:{name}", "env.num_envs=8", "env.episode_length_s=5", *QUICK)
     assert said.status == 0, said.err
     played = json.loads(said.out)
     # Without a policy, the robot falls within 0.5 s.
