@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from wheelleg_exp.machine import prepare_threads, share_cores
+from wheelleg_exp.paths import cache_dir
 
 if TYPE_CHECKING:
     from jobs.small import Trained
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 prepare_threads()
 share_cores()
 
+# Kernels of Warp take 30 s to compile, so all processes share the user's cache, also with another WHEELLEG_CACHE.
+os.environ.setdefault("WARP_CACHE_PATH", str(cache_dir() / "warp"))
+
 # With nohup or a shell's "&", signals are ignored in this process and in all child processes.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_: None}.items():
@@ -30,6 +35,9 @@ for number, handler in {signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: lambda *_
 
 # Files of tests need not survive a power failure, and a small training would sync to the disk eighty times.
 os.fsync = lambda descriptor: os.fstat(descriptor) and None
+
+# With Python's threshold of 700 objects, the search for cyclic garbage takes 8 % of the time.
+gc.set_threshold(50_000)
 
 EnvMaker = Callable[..., "ManagerBasedRLEnv"]
 

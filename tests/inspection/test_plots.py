@@ -13,7 +13,7 @@ from PIL import Image
 from wheelleg_exp.inspection import recording_plots
 from wheelleg_exp.inspection import training_curves as plots_training
 from wheelleg_exp.inspection.plot_data import Source
-from wheelleg_exp.inspection.plot_style import figure_bytes, figure_svg, tile
+from wheelleg_exp.inspection.plot_style import Panel, figure_bytes, figure_svg, tile
 from wheelleg_exp.inspection.row_selection import Length, Selection
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -223,6 +223,14 @@ def test_an_svg_is_one_scalable_element_and_drawing_changes_no_setting(played: R
     before = dict(mpl.rcParams)
     figure_bytes(recording_plots.make(played, "terminations"), "png")
     assert dict(mpl.rcParams) == before
+
+
+@pytest.mark.parametrize(("largest", "factor"), [(3e-5, "1e−5"), (3e6, "1e6")])
+def test_ticks_of_tiny_and_huge_values_are_plain_text(largest: float, factor: str) -> None:
+    root = ET.fromstring(figure_svg(tile([Panel("", lambda axes: axes.plot([0.0, largest]) and None)])))
+    words = ["".join(text.itertext()).strip() for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert factor in words
+    assert not [word for word in words if "$" in word or "math" in word]
 
 
 @pytest.mark.parametrize("kind", recording_plots.KINDS)

@@ -19,8 +19,8 @@ SHORT = ("protocol.stand.episodes=4", "protocol.stand.horizon_s=1.5", "protocol.
 SHORT += ("protocol.resamples=50",)
 
 
-def evaluated(*words) -> dict:
-    return json.loads(succeed("evaluate", *words, *SHORT, "--json").out)
+def evaluated(*words, protocol=SHORT) -> dict:
+    return json.loads(succeed("evaluate", *words, *protocol, "--json").out)
 
 
 def test_a_cached_evaluation_is_read_back_unchanged_and_refused_if_it_is_damaged(run):
@@ -94,9 +94,10 @@ def test_a_comparison_of_engines_needs_two_of_them_alone(run, words):
 
 def test_the_same_policy_is_compared_in_two_engines(run):
     pytest.importorskip("mujoco_warp")
-    found = evaluated(run.path, "--engines", "mujoco,warp")
+    brief = ("protocol.stand.episodes=2", "protocol.stand.horizon_s=1.1", "protocol.stand.survival_s=[0.5]", SHORT[-1])
+    found = evaluated(run.path, "--engines", "mujoco,warp", protocol=brief)
     assert found["verdict"].startswith(("warp confirms mujoco in all", "warp differs from mujoco in"))
     assert {row["outcome"] for row in found["differences"].values()} <= {"", "differs"}
-    assert evaluated(run.path, "--engine", "warp")["about"]["engine"] == "warp"
+    assert evaluated(run.path, "--engine", "warp", protocol=brief)["about"]["engine"] == "warp"
     (one,), (other,) = found["runs"], found["against"]
     assert one["checkpoint_sha256"] == other["checkpoint_sha256"]

@@ -151,7 +151,7 @@ def _preempt(count: int, pids: set[int]) -> None:
 
 @pytest.mark.train
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("count", [2, pytest.param(20, marks=pytest.mark.full)])
+@pytest.mark.parametrize("count", [1, pytest.param(20, marks=pytest.mark.full)])
 def test_a_preempted_job_is_handed_in_again_and_ends_as_the_uninterrupted_run(count):
     pytest.importorskip("submitit")
     words, pids = [*SMALL, f"agent.max_iterations={10 * count}", "agent.save_interval=1000"], set[int]()

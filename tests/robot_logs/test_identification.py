@@ -10,6 +10,7 @@ import yaml
 from jobs.small import refused, succeed, wheelleg
 
 from wheelleg_exp.config.composing.compose import compose
+from wheelleg_exp.robot_logs import motor_identification
 
 from .made import bundle_of, programs
 from .test_robot_log import write_csv
@@ -144,7 +145,8 @@ def test_the_simulated_chirps_of_a_bundle_give_the_parameters_of_its_robot(tmp_p
     (tmp_path / "bundle").mkdir()
     bundle, _, _ = bundle_of("physical", tmp_path / "bundle")
     chirps, simulate = programs("chirps", "simulate")
-    chirps.SECONDS, chirps.REST = 1.5, 0.5
+    chirps.SECONDS, chirps.REST = 1.0, 0.4
+    monkeypatch.setattr(motor_identification, "_MOST_EVALUATIONS", 12)
     spec = json.loads((bundle / "policy.json").read_text())
     chirps.write("log.csv", simulate.HungRobot(spec, bundle / "robot" / "scene.xml").play(chirps.Chirps(spec)))
     found = json.loads(succeed("identify", "log.csv", "--robot", "physical", "--json").out)["parameters"]

@@ -59,7 +59,6 @@ STYLE: Mapping[RcKeyType, object] = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.xmargin": 0.01,
-    "axes.formatter.use_mathtext": True,
     "axes.formatter.limits": (-3, 4),
     "grid.color": FAINT,
     "grid.linewidth": 0.8,

@@ -168,7 +168,9 @@ def test_a_file_that_is_not_torchscript_is_rejected(made, tmp_path, content):
     assert "\n" not in caught.value.message
 
 
-def test_a_network_that_grows_without_end_while_it_is_loaded_is_rejected(tmp_path):
+def test_a_network_that_grows_without_end_while_it_is_loaded_is_rejected(tmp_path, monkeypatch):
+    limited = network_actuators.call_limited
+    monkeypatch.setattr(network_actuators, "call_limited", lambda *a, **k: limited(*a, **{**k, "seconds": 6}))
     torques.doubling(tmp_path / "networks" / "nets" / "hip.pt", 40)
     actuator = network_actuators.ActuatorNetMLP(**{name: value for name, value in MLP.items() if name != "_target_"})
     with pytest.raises(WheellegError, match="CPU time") as caught:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import itertools
 import sys
@@ -105,6 +106,7 @@ def _places(module: object) -> list[Path]:
     return [path.resolve() for path in own if path.exists()]
 
 
+@functools.cache
 def _python_folders() -> list[Path]:
     paths = sysconfig.get_paths()
     return [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib", "scripts")]
