@@ -4,7 +4,10 @@ import tomllib
 from importlib.metadata import requires
 from pathlib import Path
 
+import yaml
 from packaging.requirements import Requirement
+
+import wheelleg_exp
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -27,3 +30,10 @@ def test_no_lower_bound_is_below_the_bound_that_a_dependency_sets():
         minor = [one.name for one in installed if any(str(s).startswith("<") and "." in str(s) for s in one.specifier)]
         theirs = [Requirement(text) for name in minor for text in requires(name) if "extra ==" not in text]
         assert [str(one) for one in theirs if one.name in lowest and lowest[one.name] not in one.specifier] == []
+
+
+def test_citation_and_changelog_name_the_version_and_one_date():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    head = f"## [{wheelleg_exp.__version__}] - {citation['date-released']}"
+    assert citation["version"] == wheelleg_exp.__version__
+    assert head in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
