@@ -394,14 +394,21 @@ def require_harmless(settings: Mapping[str, object], path: Path) -> None:
 
 
 def recorded_sweep(index: SweepIndex) -> Sweep:
-    """Return the launcher of a sweep from its file ``multirun.yaml``, with no setting that could run a program."""
+    """Return the launcher of a sweep from its file ``multirun.yaml``.
+
+    No setting can run a program or read a variable of the user's environment.
+    """
     from omegaconf import DictConfig
     from omegaconf.errors import OmegaConfBaseException
 
     from wheelleg_exp.config.composing.compose_sweep import Sweep
 
     path, launcher = index.folder / MULTIRUN_NAME, index.data["launcher"]
-    multirun = DictConfig(require_mapping(read_yaml(path), path))
+    recorded = require_mapping(read_yaml(path), path)
+    if "${oc." in str(recorded):
+        message, expected = "the file reads the user's environment", "the file that the sweep wrote, without ${oc.…}"
+        raise RunDirectoryError(message, where=str(path), expected=expected)
+    multirun = DictConfig(recorded)
     sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
     try:
         settings = sweep.settings(index.folder)
