@@ -47,7 +47,7 @@ def test_a_shipped_policy_balances_eight_robots(own_folders, name):
     # A robot that gets up is still rising after the first second, and rough ground and jumps move the base up and down.
     height_rmse, mean = played["figures"]["height_rmse_m"], played["figures"]["height_mean_m"]
     assert (height_rmse is None) == (name == "height")  # No fixed height: the height is commanded.
-    assert (height_rmse or 0.0) < mean * {"get_up": 0.07, "terrain": 0.07, "jump": 0.12}.get(name, 0.028)
+    assert (height_rmse or 0.0) < mean * {"get_up": 0.07, "terrain": 0.07, "jump": 0.16}.get(name, 0.028)
     verified = wheelleg("verify", f"stock:{name}")
     assert (verified.status, "sound: " in verified.out) == (0, True), verified.out
     # A wheelleg command accepts the printed folder name, too.
@@ -179,8 +179,8 @@ def test_a_policy_that_drifts_does_not_pass_unless_play_warns(own_folders):
     assert checked(**{"stand/drift_worst": 0.347}) == [
         f"stock:{name}, protocol=stand: stand/drift_worst is 0.347, but must be at most 0.1"
         for name in NAMES
-        if name not in ("get_up", "jump")
+        if name != "get_up"
     ]
     words = ("env.num_envs=1", "env.episode_length_s=0.5", *QUICK)
-    assert "it drifts by 0.35 m and turns by 7 degrees in 60 s" in wheelleg("play", "stock:jump", *words).err
+    assert "it drifts by 0.64 m and turns by 15 degrees in 60 s" in wheelleg("play", "stock:get_up", *words).err
     assert "drifts" not in wheelleg("play", "stock:walk", *words).err
