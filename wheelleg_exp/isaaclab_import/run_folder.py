@@ -76,7 +76,7 @@ def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
     numbered = {int(found[1]): file for file in files if (found := _CHECKPOINT.fullmatch(file.name))}
     if numbered:
         return numbered[max(numbered)]
-    places = [root / below / name for below in ("exported", "", "policy/isaaclab") for name in _POLICIES]
+    places = [root / below / name for below in ("exported", "", "policy/isaaclab", "policy") for name in _POLICIES]
     named = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
     places += [root / Path(name).name for name in named if isinstance(name, str)]
     return next((place for place in places if place.is_file()), None)
