@@ -260,15 +260,15 @@ def _encoded(
         "clip_actions_upper": [clips["clip_actions"]] * len(wheels),
         "wheel_indices": [place for place, is_wheel in enumerate(wheels) if is_wheel],
         "observations": ["ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions", "commands"],
-        "observations_history": list(range(config["size"]["obs_history_length"]))[::-1],
-        "observations_history_priority": "time",
         "clip_obs": clips["clip_observations"],
     }
     tree = _of_settings(settings, names, where, report)
     joints = tree["scene"]["robot"]["joint_order"]
     chosen = [joint for joint, is_wheel in zip(joints, wheels, strict=True) if not is_wheel]
     positions = {"asset_cfg": {"name": "robot", "joint_names": chosen, "body_names": None, "preserve_order": True}}
-    tree["observations"]["policy"]["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
+    group = tree["observations"]["policy"]
+    group |= {"history_length": config["size"]["obs_history_length"], "history_order": "time"}
+    group["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
     tree["commands"] = _command({axis: [-speed, speed] for axis, speed in zip(_FASTEST, speeds, strict=True)})
     report.add("policy", RULE, "encoder.onnx and policy.onnx became one network, which observes the encoder's history")
     return tree
