@@ -166,19 +166,17 @@ class M20(RlSar):
 
 
 class Upkie(RlSar):
-    """``get_inputs`` and the loop of sim.py in MarcDcls/mjlab_upkie at 4d19c49; its hips have the opposite sign."""
+    """``get_inputs`` and the loop of sim.py in MarcDcls/mjlab_upkie at 4d19c49."""
 
     def __init__(self, _: Path, policy: Path) -> None:
         self.joints = ["left_hip", "left_knee", "right_hip", "right_knee", "left_wheel", "right_wheel"]
-        self.signs = np.array([-1, 1, -1, 1, 1, 1])
         self.last, self.policy = np.zeros((ENVS, 6)), _session(policy)
 
     def step(self, read: Mapping[str, Array]) -> tuple[Array, Array, Array]:  # noqa: D102
         quat = np.where(read["quat"][:, :1] < 0, -read["quat"], read["quat"])
-        angles, speeds = (read["q"] * self.signs)[:, :4], (read["dq"] * self.signs)[:, 4:]
-        seen = np.concatenate((angles, speeds, quat, read["gyro"], self.last, read["command"]), 1)
+        seen = np.concatenate((read["q"][:, :4], read["dq"][:, 4:], quat, read["gyro"], self.last, read["command"]), 1)
         self.last = np.array([_run(self.policy, row[None]) for row in seen])
-        return seen, self.last, self.last * np.array([1, 1, 1, 1, 100, 100]) * self.signs
+        return seen, self.last, self.last * np.array([1, 1, 1, 1, 100, 100])
 
 
 _CLIP = (-100.0, 100.0)
