@@ -42,7 +42,7 @@ def urdf(model: mujoco.MjModel) -> Xml.Element:
         add_origin(inertial, body.ipos, body.iquat)
         Xml.SubElement(inertial, "mass", value=repr(float(body.mass[0])))
         moments = {f"i{axis}{axis}": repr(float(value)) for axis, value in zip("xyz", body.inertia, strict=True)}
-        Xml.SubElement(inertial, "inertia", ixy="0", ixz="0", iyz="0", **moments)
+        Xml.SubElement(inertial, "inertia", {"ixy": "0", "ixz": "0", "iyz": "0", **moments})
         for number in range(body.geomadr[0], body.geomadr[0] + body.geomnum[0]):
             geom = model.geom(number)
             if geom.contype[0]:

@@ -173,7 +173,8 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     for content in (*contents, folder.config):
         inner = next(iter(content.values()), None)
         config |= inner if isinstance(inner, Mapping) else content
-    return _of_settings(config, names, where, report)
+    report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
+    return _of_settings(config, names, where, report) | {"commands": _command(_FASTEST)}
 
 
 def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
@@ -282,8 +283,6 @@ def _of_settings(config: Tree, names: list[str], where: str, report: ImportRepor
         gains["effort_limit"] = config["torque_limits"]
     step = (config["dt"], config["decimation"])
     tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, wheels, **gains))
-    tree["commands"] = _command(_FASTEST)
-    report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
     tree |= _rl_sar_actions(config, joints, wheels, report)
     tree["observations"] = {"policy": _rl_sar_observations(config, joints, wheels, where, report)}
     return tree
