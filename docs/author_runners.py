@@ -9,7 +9,7 @@ compute the observation, the action, and the targets of the joints. The largest 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -95,40 +95,97 @@ class Limx(RlSar):
     """``WheelfootController`` of tron1-rl-deploy-python at 08b1f11, without its limit of the legs' torque."""
 
     def __init__(self, source: Path, policy: Path) -> None:
-        import onnxruntime
+        config = yaml.safe_load((source / "params.yaml").read_text())["PointfootCfg"]
+        names, control, scales = config["joint_names"], config["control"], config["normalization"]["obs_scales"]
+        half = len(names) // 2
+        lab = policy.parent.name == "isaaclab"
+        order = [index for left in range(half) for index in (left, left + half)] if lab else list(range(2 * half))
+        self.scales = scales["ang_vel"], scales["dof_pos"], scales["dof_vel"]
+        self.observed = np.array([1.0] * 3 if lab else [scales["lin_vel"]] * 2 + [scales["ang_vel"]])
+        wheels = [place for place, index in enumerate(order) if index not in config["size"]["jointpos_idxs"]]
+        factors = (control["action_scale_pos"], control["wheel_joint_damping"])
+        default = config["init_state"]["default_joint_angle"]
+        self.prepare(policy, [names[index] for index in order], wheels, default, factors)
+        self.length = config["size"]["obs_history_length"]
 
-        self.config = yaml.safe_load((source / "params.yaml").read_text())["PointfootCfg"]
-        files = (policy.with_name("encoder.onnx"), policy)
-        self.encoder, self.policy = (onnxruntime.InferenceSession(file) for file in files)
-        self.names = self.config["joint_names"]
-        half = len(self.names) // 2
-        lab = [index for left in range(half) for index in (left, left + half)]
-        self.order = lab if policy.parent.name == "isaaclab" else list(range(2 * half))
-        self.joints = [self.names[index] for index in self.order]
-        self.legs = [i for i, index in enumerate(self.order) if index in self.config["size"]["jointpos_idxs"]]
-        self.wheels = [i for i in range(2 * half) if i not in self.legs]
-        self.default = np.array([self.config["init_state"]["default_joint_angle"][name] for name in self.joints])
-        self.last, self.history = np.zeros((ENVS, 2 * half)), []
+    def prepare(
+        self, policy: Path, joints: list[str], wheels: list[int], default: Mapping[str, float], factors: Sequence[float]
+    ) -> None:
+        """Load the networks, and store joints, wheels, and the factors of the actions of legs and wheels."""
+        self.encoder, self.policy = (_session(file) for file in (policy.with_name("encoder.onnx"), policy))
+        self.joints, self.wheels = joints, wheels
+        self.legs = [i for i in range(len(joints)) if i not in wheels]
+        self.default = np.array([default[name] for name in joints])
+        self.factors = np.array([factors[i in wheels] for i in range(len(joints))])
+        self.last, self.history = np.zeros((ENVS, len(joints))), []
 
     def step(self, read: Mapping[str, Array]) -> tuple[Array, Array, Array]:  # noqa: D102
-        scales, control = self.config["normalization"]["obs_scales"], self.config["control"]
-        angles = (read["q"] - self.default)[:, self.legs] * scales["dof_pos"]
-        turning = read["gyro"] * scales["ang_vel"]
-        joints = (angles, read["dq"] * scales["dof_vel"], self.last)
-        one = np.concatenate((turning, gravity(read["quat"]), *joints), 1)
-        self.remember(one, self.config["size"]["obs_history_length"])
+        turning, angle, speed = self.scales
+        angles = (read["q"] - self.default)[:, self.legs] * angle
+        one = np.concatenate((read["gyro"] * turning, gravity(read["quat"]), angles, read["dq"] * speed, self.last), 1)
+        self.remember(one, self.length)
         seen = np.concatenate(self.history[::-1], 1)
-        lab = self.joints != self.names
-        observed = read["command"] * (1.0 if lab else np.array([scales["lin_vel"]] * 2 + [scales["ang_vel"]]))
+        observed = read["command"] * self.observed
         codes = [_run(self.encoder, row) for row in seen]
         rows = np.concatenate((codes, np.clip(one, *_CLIP), observed), 1)
         self.last = np.clip([_run(self.policy, row) for row in rows], *_CLIP)
-        targets = self.last * control["action_scale_pos"] + self.default
-        targets[:, self.wheels] = self.last[:, self.wheels] * control["wheel_joint_damping"]
+        targets = self.last * self.factors + self.default
+        targets[:, self.wheels] -= self.default[self.wheels]
         return np.concatenate((seen, observed), 1), self.last, targets
 
 
+class Tron2(Limx):
+    """``WheelfootController`` of tron2_rl_deploy_ros at 699bb50."""
+
+    def __init__(self, source: Path, policy: Path) -> None:
+        config = yaml.safe_load((source / "params.yaml").read_text())["Tron2Cfg"]
+        control, state, self.length = config["control"], config["init_state"], config["size"]["obs_history_length"]
+        self.scales, self.observed = (0.25, 1.0, 0.05), np.ones(3)
+        wheels = [i for i, mode in enumerate(control["joint_control_modes"]) if mode == "velocity"]
+        factors = (control["action_scale_pos"], control["action_scale_vel"])
+        self.prepare(policy, state["joint_names"], wheels, state["default_joint_angle"], factors)
+
+
+class M20(RlSar):
+    """``M20PolicyRunner`` of DeepRoboticsLab/sdk_deploy at 53f01d1."""
+
+    def __init__(self, _: Path, policy: Path) -> None:
+        legs = [f"{leg}_{part}_joint" for leg in ("fl", "fr", "hl", "hr") for part in ("hipx", "hipy", "knee")]
+        self.joints = legs + [f"{leg}_wheel_joint" for leg in ("fl", "fr", "hl", "hr")]
+        self.default = np.array([0, -0.6, 1.0] * 2 + [0, 0.6, -1.0] * 2 + [0] * 4)
+        self.scale = np.array([0.125, 0.25, 0.25] * 4 + [5] * 4)
+        self.last, self.policy = np.zeros((ENVS, 16)), _session(policy)
+
+    def step(self, read: Mapping[str, Array]) -> tuple[Array, Array, Array]:  # noqa: D102
+        angles = read["q"].copy()
+        angles[:, 12:] = 0.0
+        parts = (read["gyro"] * 0.25, gravity(read["quat"]), read["command"], angles - self.default)
+        seen = np.concatenate((*parts, read["dq"] * 0.05, self.last), 1)
+        self.last = np.array([_run(self.policy, row[None]) for row in seen])
+        return seen, self.last, self.last * self.scale + self.default
+
+
+class Upkie(RlSar):
+    """``get_inputs`` and the loop of sim.py in MarcDcls/mjlab_upkie at 4d19c49."""
+
+    def __init__(self, _: Path, policy: Path) -> None:
+        self.joints = ["left_hip", "left_knee", "right_hip", "right_knee", "left_wheel", "right_wheel"]
+        self.last, self.policy = np.zeros((ENVS, 6)), _session(policy)
+
+    def step(self, read: Mapping[str, Array]) -> tuple[Array, Array, Array]:  # noqa: D102
+        quat = np.where(read["quat"][:, :1] < 0, -read["quat"], read["quat"])
+        seen = np.concatenate((read["q"][:, :4], read["dq"][:, 4:], quat, read["gyro"], self.last, read["command"]), 1)
+        self.last = np.array([_run(self.policy, row[None]) for row in seen])
+        return seen, self.last, self.last * np.array([1, 1, 1, 1, 100, 100])
+
+
 _CLIP = (-100.0, 100.0)
+
+
+def _session(file: Path) -> Any:
+    import onnxruntime
+
+    return onnxruntime.InferenceSession(file)
 
 
 def _run(session: Any, row: Array) -> Array:
@@ -162,6 +219,7 @@ def differences(env: ManagerBasedRLEnv, policy: Callable[[Any], torch.Tensor], r
         compare("observations", mine, observed)
         actions = policy(seen)
         compare("actions", actions, wanted)
+        runner.last = actions.double().numpy()  # so that rounding does not accumulate
         speeds = data.joint_vel + torch.randn(data.joint_vel.shape, generator=generator)  # so that states differ
         robot.write_joint_velocity_to_sim(speeds)
         seen, _, fell, late, _ = env.step(actions)
@@ -188,7 +246,9 @@ def load(project: Path, *words: str) -> tuple[ManagerBasedRLEnv, Callable[[Any],
 
 def runner_of(source: Path, policy: Path) -> RlSar:
     """Return the runner of the author of a policy."""
-    return (Limx if (source / "params.yaml").is_file() else RlSar)(source, policy)
+    others = {"m20": M20, "upkie": Upkie, "WF_TRON2A": Tron2}
+    kind = others.get(source.name, Limx if (source / "params.yaml").is_file() else RlSar)
+    return kind(source, policy)
 
 
 if __name__ == "__main__":

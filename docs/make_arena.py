@@ -106,14 +106,19 @@ def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
     return f"![Figures of all policies](images/arena/dots.png)\n\n{text}\n{about}"
 
 
+def _is_outside(row: Mapping[str, Any]) -> bool:
+    return bool(row["proof"] != "–")
+
+
 def plot(rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """Draw one row of dots per property, further to the right is better, in one colour per policy."""
+    """Draw one row of dots per property, further to the right is better; stock policies are squares."""
     columns = [column for column in COLUMNS if column[0] in DOTS]
-    figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for place, row in enumerate(rows.values()):
         shown = [(figures(row, column) or [math.nan])[0] / DOTS[column[0]] for column in columns]
         heights = [index + 0.06 * (place - len(rows) / 2) for index in range(len(columns))]
-        axes.plot(shown, heights, "o", markersize=6, label=row["policy"])
+        marker, colour = "o" if _is_outside(row) else "s", plt.get_cmap("tab20")(place)
+        axes.plot(shown, heights, marker, color=colour, markersize=6, label=row["policy"])
     axes.set_yticks(range(len(columns)), [f"{c[0]}, up to {DOTS[c[0]]:g}{c[2]}" for c in columns])
     axes.invert_yaxis()
     axes.set_xlim(-0.03, 1.1)
@@ -130,6 +135,7 @@ def main(words: list[str]) -> None:
         run = RunDirectory(Path(details["run"]))
         rows[name] = row_of(run, details)
         picture(run, PICTURES / f"{name}.png")
+    rows = dict(sorted(rows.items(), key=lambda item: not _is_outside(item[1])))
     write_text(ROWS, dump_json(rows) + "\n")
     plot(rows)
     before, rest = PAGE.read_text().split(START)

@@ -23,7 +23,7 @@ runners: Any = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(runners)
 
 JOINTS = ["l01", "l02", "l03", "r01", "r02", "r03"]
-LIMX = {
+LIMX: dict[str, Any] = {
     "loop_frequency": 200,
     "joint_names": JOINTS,
     "init_state": {"default_joint_angle": dict(zip(JOINTS, [0.9599, -1.885, 0.0] * 2, strict=True))},
@@ -37,6 +37,21 @@ LIMX = {
     },
     "size": {"obs_history_length": 3, "jointpos_idxs": [0, 1, 3, 4]},
     "user_cmd_scales": {"lin_vel_x": 1.5, "lin_vel_y": 1.0, "ang_vel_yaw": 0.5},
+}
+TRON2 = {
+    "init_state": {
+        **{"joint_names": JOINTS, "sensor_joint_names": JOINTS},
+        "default_joint_angle": LIMX["init_state"]["default_joint_angle"],
+    },
+    "control": {
+        **{"joint_control_modes": ["position", "position", "velocity"] * 2, "wheel_joint_damping": 0.8},
+        **{"leg_joint_stiffness": 3.0, "leg_joint_damping": 0.3, "leg_joint_torque_limit": 2.0, "decimation": 10},
+        **{"wheel_joint_torque_limit": 1.0, "action_scale_pos": 0.25, "action_scale_vel": 1.5},
+    },
+    "normalization": LIMX["normalization"],
+    "size": {"obs_history_length": 3},
+    "commands": {"max": {"lin_vel_x": 0.7, "lin_vel_y": 0.0, "ang_vel_yaw": 1.0}},
+    "gait": {"enabled": False},
 }
 SEEN = 3 + 3 + 4 + 6 + 6
 
@@ -70,18 +85,20 @@ def write_network(path: Path, sizes: list[int], *, normalized: bool = False) -> 
     onnx.save(model, path)
 
 
-@pytest.mark.parametrize("kind", ["isaaclab", "isaacgym"])
+@pytest.mark.parametrize("kind", ["isaaclab", "isaacgym", "tron2"])
 def test_limx_policies_with_an_encoder_equal_their_runner_and_faults_are_noticed(tmp_path: Path, kind: str) -> None:
-    policy = tmp_path / "limx/policy" / kind / "policy.onnx"
+    source = tmp_path / ("WF_TRON2A" if kind == "tron2" else "WF_TRON1A")
+    policy = source / "policy" / kind / "policy.onnx"
     policy.parent.mkdir(parents=True)
-    (tmp_path / "limx/params.yaml").write_text(yaml.safe_dump({"PointfootCfg": LIMX}))
+    content = {"Tron2Cfg": TRON2} if kind == "tron2" else {"PointfootCfg": LIMX}
+    (source / "params.yaml").write_text(yaml.safe_dump(content))
     write_network(policy, [2 + SEEN + 3, 16, 8, 6])
     write_network(policy.with_name("encoder.onnx"), [3 * SEEN, 12, 8, 2])
-    made = import_run(tmp_path / "limx", ROBOT, tmp_path / f"limx_{kind}", policy=policy)
+    made = import_run(source, ROBOT, tmp_path / f"limx_{kind}", policy=policy)
 
     def worst(*words: str, reverse: bool = False) -> float:
         env, network = runners.load(made.path, *words)
-        runner = runners.runner_of(tmp_path / "limx", policy)
+        runner = runners.runner_of(source, policy)
         if not reverse:
             return max(runners.differences(env, network, runner).values())
         turned = lambda seen: network({"policy": seen["policy"].reshape(8, 3, -1).flip(1).flatten(1)})  # noqa: E731

@@ -13,7 +13,7 @@ import yaml
 from sim.actuators import torques
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, ActorCritic, Exported, changed, write_run, write_terms
-from tests.isaaclab_import.test_author_runners import LIMX
+from tests.isaaclab_import.test_author_runners import LIMX, TRON2, write_network
 from wheelleg_exp.build import build_env
 from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
@@ -278,6 +278,11 @@ def _with_nan(folder: Path) -> None:
     _state(model_state_dict={name: value * float("nan") for name, value in networks.items()})(folder)
 
 
+def _link(file: Path) -> None:
+    file.unlink()
+    file.symlink_to(file.name)
+
+
 def _limx(folder: Path) -> None:
     (folder / "params/env.yaml").rename(folder / "params.yaml")
 
@@ -321,6 +326,9 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "half lags": (_edit("observations.policy.gravity.delay_max_lag", 2.5), "delay_max_lag: .*whole numbers"),
     "other distribution": (_replace("params/agent.yaml", AGENT + OTHER), "distribution_cfg.class_name"),
     "another params.yaml": (_limx, "params.yaml: .*structure .KeyError: 'PointfootCfg'"),
+    "empty policy": (lambda f: (f / "model_700.pt").write_bytes(b""), "damaged"),
+    "ONNX policy.pt": (lambda f: write_network(f / "model_700.pt", [25, 8, 6]), "damaged"),
+    "link to itself": (lambda f: _link(f / "params/env.yaml"), "contains no run"),
     "bad agent": (_replace("params/agent.yaml", AGENT.replace("gamma: 0.98", "gamma: 3.0")), "gamma"),
 }  # fmt: skip
 
@@ -348,15 +356,21 @@ SPOILED = {
     "deploy.yaml": {
         **{"step_dt": float("nan"), "stiffness": [3.0], "default_joint_pos": "x", "joint_ids_map": [0, 0, 0, 0, 0, 0]},
         **{"observations": {}, "actions": {}, "commands": [1], "damping": [-1.0] * 6},
+        **{"observations.base_ang_vel.history_length": -1, "observations.last_action.scale": [float("inf")] * 6},
+        **{"actions.JointPositionAction.joint_ids": [-9] * 6, "actions.JointPositionAction.scale": [float("nan")] * 6},
+        **{"commands.base_velocity.ranges.lin_vel_x": [float("nan")] * 2},
     },
     "config.yaml": {
         **{"flip.dt": 0.0, "flip.decimation": 0, "flip.wheel_indices": [9], "flip.joint_mapping": [0, 0, 0, 0, 0, 0]},
         **{"flip.observations": ["os.system"], "flip.action_scale": None, "flip": {}},
-        **{"flip.default_dof_pos": [1e400] * 6, "flip.joint_names": ["x"] * 6},
+        **{"flip.default_dof_pos": [1e400] * 6, "flip.joint_names": ["x"] * 6, "flip.model_name": "../../etc/passwd"},
+        **{"flip.rl_kp": [-3.0] * 6, "flip.observations_history": [-1, -2], "flip.dof_pos_scale": {}},
     },
     "params.yaml": {
         **{"PointfootCfg.loop_frequency": 0, "PointfootCfg.joint_names": [], "PointfootCfg": 3},
         **{"PointfootCfg.size.jointpos_idxs": [99], "PointfootCfg.control.decimation": "ten"},
+        **{"PointfootCfg.size.obs_history_length": 10**9, "PointfootCfg.normalization.obs_scales.lin_vel": 0.0},
+        **{"Tron2Cfg": TRON2 | {"gait": {"enabled": True}}},
     },
 }  # fmt: skip
 GOOD = {"deploy.yaml": UNITREE, "config.yaml": FLIP, "params.yaml": {"PointfootCfg": LIMX}}

@@ -7,6 +7,7 @@ import resource
 import zipfile
 from pathlib import Path
 
+import onnx
 import pytest
 import torch
 
@@ -184,6 +185,23 @@ def test_bad_files(tmp_path: Path) -> None:
             (tmp_path / file).write_bytes(data)
             with pytest.raises(RunDirectoryError, match=words):
                 read_policy(tmp_path / file)
+
+
+@pytest.mark.parametrize("change", ["external data", "huge shape"])
+def test_an_onnx_file_reads_no_other_file_and_little_memory(tmp_path: Path, change: str) -> None:
+    write_network(tmp_path / "policy.onnx", [4, 8, 2])
+    model = onnx.load(tmp_path / "policy.onnx")
+    tensor = model.graph.initializer[0]
+    if change == "huge shape":
+        tensor.dims[:] = [10**6, 10**6]
+    else:
+        (tmp_path / "secret").write_bytes(tensor.raw_data)
+        tensor.ClearField("raw_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        tensor.external_data.add(key="location", value="secret")
+    (tmp_path / "policy.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(RunDirectoryError, match="damaged"):
+        read_policy(tmp_path / "policy.onnx")
 
 
 def _doubled(count: int) -> bytes:

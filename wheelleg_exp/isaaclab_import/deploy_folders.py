@@ -30,6 +30,7 @@ _OBSERVATIONS = {
 }
 # LimX's runner multiplies the position of the joystick by 0.5 and by these keys of ``user_cmd_scales``.
 _JOYSTICK, _KEYS = 0.5, ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
+_LIMX_LOOP = 0.002  # s; the step of the loop of tron2_hw in tron2_rl_deploy_ros
 _FASTEST = {"lin_vel_x": [-1.0, 1.0], "lin_vel_y": [0.0, 0.0], "ang_vel_z": [-1.0, 1.0]}
 
 
@@ -172,11 +173,14 @@ def _rl_sar(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     for content in (*contents, folder.config):
         inner = next(iter(content.values()), None)
         config |= inner if isinstance(inner, Mapping) else content
-    return _of_settings(config, names, where, report)
+    report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
+    return _of_settings(config, names, where, report) | {"commands": _command(_FASTEST)}
 
 
 def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
-    """Convert a wheel-foot policy of tron1-rl-deploy-python; its runner is the class ``WheelfootController``."""
+    """Convert a wheel-foot policy of LimX; its runner is a class ``WheelfootController``."""
+    if "Tron2Cfg" in folder.config:
+        return _limx_with_kinds(folder, names, report)
     config = folder.config["PointfootCfg"]
     control, normal, listed = config["control"], config["normalization"], config["joint_names"]
     number, legs = len(listed), [listed[index] for index in config["size"]["jointpos_idxs"]]
@@ -187,14 +191,12 @@ def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
         observed = [1.0, 1.0, 1.0]
     report.add("user_cmd_scales", ASSUMED, f"the policy observes its command times {observed}, as in its training")
     wheels = [listed[index] not in legs for index in order]
-    damping, history = control["wheel_joint_damping"], config["size"]["obs_history_length"]
+    damping = control["wheel_joint_damping"]
     of_joints = {
         "rl_kp": (control["stiffness"], 0.0),
         "rl_kd": (control["damping"], damping),
         "action_scale": (control["action_scale_pos"], damping),
         "torque_limits": (control["user_torque_limit"], control["wheel_joint_torque_limit"]),
-        "clip_actions_lower": (-normal["clip_scales"]["clip_actions"],) * 2,
-        "clip_actions_upper": (normal["clip_scales"]["clip_actions"],) * 2,
     }
     settings: Tree = {
         **{key: [pair[is_wheel] for is_wheel in wheels] for key, pair in of_joints.items()},
@@ -203,23 +205,73 @@ def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
         "commands_scale": observed,
         "joint_names": listed,
         "joint_mapping": order,
-        "wheel_indices": [place for place, is_wheel in enumerate(wheels) if is_wheel],
         "dt": 1.0 / config["loop_frequency"],
         "decimation": control["decimation"],
-        "observations": ["ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions", "commands"],
-        "observations_history": list(range(history))[::-1],
-        "observations_history_priority": "time",
-        "clip_obs": normal["clip_scales"]["clip_observations"],
     }
-    tree = _of_settings(settings, names, str(folder.config_file), report)
-    chosen = [joint for joint in tree["scene"]["robot"]["joint_order"] if joint in legs]
-    positions = {"asset_cfg": {"name": "robot", "joint_names": chosen, "body_names": None, "preserve_order": True}}
-    tree["observations"]["policy"]["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
     speeds = [_JOYSTICK * config["user_cmd_scales"][key] / scale for key, scale in zip(_KEYS, observed, strict=True)]
-    tree["commands"] = _command({axis: [-speed, speed] for axis, speed in zip(_FASTEST, speeds, strict=True)})
-    report.add("policy", RULE, "encoder.onnx and policy.onnx became one network, which observes the encoder's history")
     text = "the policy observes its actions before the limit of the torque, LimX's runner after it"
     report.add("control.user_torque_limit", ASSUMED, text)
+    return _encoded(settings, config, wheels, speeds, names, str(folder.config_file), report)
+
+
+def _limx_with_kinds(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
+    """Convert a wheel-foot policy of tron2_rl_deploy_ros."""
+    config, where = folder.config["Tron2Cfg"], str(folder.config_file)
+    control, joints = config["control"], config["init_state"]["joint_names"]
+    needed = (("gait", "enabled", False), ("init_state", "sensor_joint_names", joints))
+    for part, key, value in needed:
+        if config[part][key] != value:
+            message = "the policy observes a gait, or another order of joints than that of its actions"
+            raise RunDirectoryError(message, key=f"{part}.{key}", where=where, expected=str(value))
+    wheels = [mode == "velocity" for mode in control["joint_control_modes"]]
+    kinds = [  # The runner chooses the gains by these parts of the names.
+        "wheel" if is_wheel else "light" if "yaw_" in joint or "ankle_pitch_" in joint else "leg"
+        for joint, is_wheel in zip(joints, wheels, strict=True)
+    ]
+    settings: Tree = {
+        "rl_kp": [0.0 if kind == "wheel" else control[f"{kind}_joint_stiffness"] for kind in kinds],
+        "rl_kd": [control[f"{kind}_joint_damping"] for kind in kinds],
+        "torque_limits": [control[f"{kind}_joint_torque_limit"] for kind in kinds],
+        "action_scale": [control["action_scale_vel" if is_wheel else "action_scale_pos"] for is_wheel in wheels],
+        **{"ang_vel_scale": 0.25, "dof_pos_scale": 1.0, "dof_vel_scale": 0.05, "commands_scale": [1.0] * 3},
+        "default_dof_pos": [config["init_state"]["default_joint_angle"][joint] for joint in joints],
+        "joint_names": joints,
+        "dt": _STEP,
+        "decimation": round(_LIMX_LOOP * control["decimation"] / _STEP),
+    }
+    text = f"{_LIMX_LOOP * control['decimation']} s per control step: LimX's loop has {1 / _LIMX_LOOP:g} Hz"
+    report.add("control.decimation", ASSUMED, text)
+    speeds = [config["commands"]["max"][key] for key in _KEYS]
+    return _encoded(settings, config, wheels, speeds, names, where, report)
+
+
+def _encoded(
+    settings: Tree,
+    config: Tree,
+    wheels: Sequence[bool],
+    speeds: Sequence[float],
+    names: list[str],
+    where: str,
+    report: ImportReport,
+) -> Tree:
+    """Convert the settings of a policy with an encoder, which observes ``speeds`` (m/s, m/s, rad/s) at most."""
+    clips = config["normalization"]["clip_scales"]
+    settings |= {
+        "clip_actions_lower": [-clips["clip_actions"]] * len(wheels),
+        "clip_actions_upper": [clips["clip_actions"]] * len(wheels),
+        "wheel_indices": [place for place, is_wheel in enumerate(wheels) if is_wheel],
+        "observations": ["ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions", "commands"],
+        "clip_obs": clips["clip_observations"],
+    }
+    tree = _of_settings(settings, names, where, report)
+    joints = tree["scene"]["robot"]["joint_order"]
+    chosen = [joint for joint, is_wheel in zip(joints, wheels, strict=True) if not is_wheel]
+    positions = {"asset_cfg": {"name": "robot", "joint_names": chosen, "body_names": None, "preserve_order": True}}
+    group = tree["observations"]["policy"]
+    group |= {"history_length": config["size"]["obs_history_length"], "history_order": "time"}
+    group["dof_pos"] |= {"params": positions, "scale": settings["dof_pos_scale"]}
+    tree["commands"] = _command({axis: [-speed, speed] for axis, speed in zip(_FASTEST, speeds, strict=True)})
+    report.add("policy", RULE, "encoder.onnx and policy.onnx became one network, which observes the encoder's history")
     return tree
 
 
@@ -231,8 +283,6 @@ def _of_settings(config: Tree, names: list[str], where: str, report: ImportRepor
         gains["effort_limit"] = config["torque_limits"]
     step = (config["dt"], config["decimation"])
     tree = _tree(joints, config["default_dof_pos"], step, _actuators(joints, wheels, **gains))
-    tree["commands"] = _command(_FASTEST)
-    report.add("commands.base_velocity.ranges", ASSUMED, str(_FASTEST))
     tree |= _rl_sar_actions(config, joints, wheels, report)
     tree["observations"] = {"policy": _rl_sar_observations(config, joints, wheels, where, report)}
     return tree

@@ -76,10 +76,14 @@ def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
     numbered = {int(found[1]): file for file in files if (found := _CHECKPOINT.fullmatch(file.name))}
     if numbered:
         return numbered[max(numbered)]
-    places = [root / below / name for below in ("exported", "", "policy/isaaclab") for name in _POLICIES]
+    places = [root / below / name for below in ("exported", "", "policy/isaaclab", "policy") for name in _POLICIES]
     named = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
     places += [root / Path(name).name for name in named if isinstance(name, str)]
-    return next((place for place in places if place.is_file()), None)
+    policy = next((place for place in places if place.is_file()), None)
+    if policy is None and any(named):
+        message, expected = f"the folder has no policy {named[0]!r}", "the file in this folder, or --policy FILE"
+        raise RunDirectoryError(message, key="model_name", where=str(root / "config.yaml"), expected=expected)
+    return policy
 
 
 def read_mapping(path: Path, expected: str = _EXPECTED) -> Tree:
