@@ -37,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({"project": shown, "robot": made.path.name, **found, "files": files})
         return EXIT_OK
     print(f"created {shown}: {len(made.files)} files")
-    print(f"  robot: {facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
+    which = "the stock robot (no --robot was given), " if args.robot is None else ""
+    print(f"  robot: {which}{facts.mass:.4g} kg, {1e3 * facts.standing_height:.4g} mm high in its default pose")
     print(f"  legs: {', '.join(robot.legs) or 'none'}")
     if robot.held:
         print(f"  held still: {', '.join(robot.held)}")

@@ -42,7 +42,7 @@ _FALLBACK = "my_robot"
 _VALUES = {"null", "true", "false", "yes", "no", "on", "off", "inf", "nan"}
 # A project cannot be named ``tests`` or ``build``, because projects, pytest, or pip use these names themselves.
 _OWN = {"test", "tests", "configs", "assets", "runs", "build", "dist", "src", "conftest"}
-_EXPECTED = "letters, digits, and underscores, starting with a letter, such as my_robot"
+_EXPECTED = "two or more letters, digits, or underscores, starting with a letter, such as my_robot"
 
 
 class NameTaken(WheellegError):
