@@ -303,7 +303,12 @@ def test_only_one_process_runs_a_sweep_and_a_job_that_may_still_be_queued_is_not
         "hydra: 3",
         "hydra: {launcher: 3, sweep: {}, job: {}}",
         "hydra: {sweep: {}, job: {}, launcher: {a: '${b}'}}",
-        "hydra: {sweep: {}, job: {}, launcher: {n_jobs: '${oc.env:HOME}'}}",
+        "hydra: {launcher: {a: 2020-01-01}}",
+        "hydra: {launcher: {a: '${'}}",
+        "hydra: {launcher: {a: '${oc.env:HOME}'}}",
+        "hydra: {launcher: {a: '${ oc.env:HOME}'}}",
+        r"hydra: {launcher: {a: '\${oc.env:HOME}'}}",
+        "hydra: {launcher: {b: oc, a: '${${hydra.launcher.b}.env:HOME}'}}",
     ],
 )
 def test_a_damaged_config_of_a_sweep_is_one_message(tmp_path, text):
@@ -312,7 +317,6 @@ def test_a_damaged_config_of_a_sweep_is_one_message(tmp_path, text):
     (index.folder / "multirun.yaml").write_text(text)
     said = wheelleg("resume", "--sweep", "latest")
     assert (said.status, said.err.count("\n"), "multirun.yaml" in said.err) == (2, 1, True), said.err
-    assert ("user's environment" in said.err) == ("oc.env" in text)
 
 
 @pytest.mark.train

@@ -59,7 +59,10 @@ def test_a_silence_in_a_file_is_not_about_a_value_of_the_user(capsys):
     _, report = physics(capsys, "task=walk", pushed)
     assert [(f["rule"], f["where"]) for f in report["findings"]] == [("push_size", f"override {pushed}")]
     status, report = physics(capsys, "task=walk", pushed, "++check.silence.push_size=a fall is wanted")
-    assert status == 0 and "a fall is wanted" in [f["reason"] for f in report["silenced"]]
+    assert (status, report["findings"]) == (0, [])
+    assert "a fall is wanted" in [f["reason"] for f in report["silenced"]]
+    _, report = physics(capsys, "task=walk", pushed, "++env.robot.silence.push_size=a fall is wanted")
+    assert report["findings"] == []
 
 
 def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_effect(capsys):

@@ -228,6 +228,8 @@ def _limx_with_kinds(folder: RunFolder, names: list[str], report: ImportReport) 
         "wheel" if is_wheel else "light" if "yaw_" in joint or "ankle_pitch_" in joint else "leg"
         for joint, is_wheel in zip(joints, wheels, strict=True)
     ]
+    period = _LIMX_LOOP * control["decimation"]
+    steps = max(1, round(period / _STEP))
     settings: Tree = {
         "rl_kp": [0.0 if kind == "wheel" else control[f"{kind}_joint_stiffness"] for kind in kinds],
         "rl_kd": [control[f"{kind}_joint_damping"] for kind in kinds],
@@ -236,10 +238,10 @@ def _limx_with_kinds(folder: RunFolder, names: list[str], report: ImportReport) 
         **{"ang_vel_scale": 0.25, "dof_pos_scale": 1.0, "dof_vel_scale": 0.05, "commands_scale": [1.0] * 3},
         "default_dof_pos": [config["init_state"]["default_joint_angle"][joint] for joint in joints],
         "joint_names": joints,
-        "dt": _STEP,
-        "decimation": round(_LIMX_LOOP * control["decimation"] / _STEP),
+        "dt": period / steps,
+        "decimation": steps,
     }
-    text = f"{_LIMX_LOOP * control['decimation']} s per control step: LimX's loop has {1 / _LIMX_LOOP:g} Hz"
+    text = f"{period} s per control step: LimX's loop has {1 / _LIMX_LOOP:g} Hz"
     report.add("control.decimation", ASSUMED, text)
     speeds = [config["commands"]["max"][key] for key in _KEYS]
     return _encoded(settings, config, wheels, speeds, names, where, report)

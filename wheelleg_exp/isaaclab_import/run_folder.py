@@ -77,10 +77,11 @@ def _policy(root: Path, config: Mapping[str, object]) -> Path | None:
     if numbered:
         return numbered[max(numbered)]
     places = [root / below / name for below in ("exported", "", "policy/isaaclab", "policy") for name in _POLICIES]
-    named = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
-    places += [root / Path(name).name for name in named if isinstance(name, str)]
+    listed = [value.get("model_name") for value in config.values() if isinstance(value, Mapping)]
+    named = [name for name in listed if isinstance(name, str) and name]
+    places += [root / Path(name).name for name in named]
     policy = next((place for place in places if place.is_file()), None)
-    if policy is None and any(named):
+    if policy is None and named:
         message, expected = f"the folder has no policy {named[0]!r}", "the file in this folder, or --policy FILE"
         raise RunDirectoryError(message, key="model_name", where=str(root / "config.yaml"), expected=expected)
     return policy

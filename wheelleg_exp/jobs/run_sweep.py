@@ -29,7 +29,7 @@ from wheelleg_exp.machine import share_cores
 from wheelleg_exp.run.environment import replay_environ, variables
 from wheelleg_exp.run.file_inventory import MANIFEST_NAME
 from wheelleg_exp.run.manifest import Manifest
-from wheelleg_exp.run.run_config import require_overrides
+from wheelleg_exp.run.run_config import require_overrides, resolved
 from wheelleg_exp.run.run_index import MULTIRUN_NAME, JobEntry, JobStatus, SweepIndex, SweepStatus
 from wheelleg_exp.run.timestamps import utc_now, utc_text
 from wheelleg_exp.stop_request import StopRequest
@@ -399,24 +399,30 @@ def recorded_sweep(index: SweepIndex) -> Sweep:
     No setting can run a program or read a variable of the user's environment.
     """
     from omegaconf import DictConfig
-    from omegaconf.errors import OmegaConfBaseException
 
     from wheelleg_exp.config.composing.compose_sweep import Sweep
 
     path, launcher = index.folder / MULTIRUN_NAME, index.data["launcher"]
-    recorded = require_mapping(read_yaml(path), path)
-    if "${oc." in str(recorded):
-        message, expected = "the file reads the user's environment", "the file that the sweep wrote, without ${oc.…}"
-        raise RunDirectoryError(message, where=str(path), expected=expected)
-    multirun = DictConfig(recorded)
-    sweep = Sweep((), launcher["name"], launcher["at_once"], multirun)
+    hydra = require_mapping(read_yaml(path), path).get("hydra")
+    message, expected = (
+        "the file contains no settings of a launcher",
+        "the file that the sweep wrote, without ${oc.env:…}",
+    )
+    problem = RunDirectoryError(message, where=str(path), expected=expected)
+    if not isinstance(hydra, Mapping):
+        raise problem
+    tree = {"launcher": hydra.get("launcher"), "sweep": {"dir": str(index.folder)}, "job": {"name": "wheelleg"}}
+    nothing: dict[str, str] = {}
     try:
-        settings = sweep.settings(index.folder)
-    except (OmegaConfBaseException, AttributeError, AssertionError, TypeError, ValueError) as error:
-        message, expected = "the file contains no settings of a launcher", "the file that the sweep wrote"
-        raise RunDirectoryError(message, where=str(path), expected=expected) from error
+        found = cast(Mapping[str, object], resolved({"hydra": tree}, nothing, nothing.__getitem__)["hydra"])
+    except RunDirectoryError as error:
+        raise problem from error
+    settings = found["launcher"]
+    if not isinstance(settings, Mapping) or "${" in str(settings):  # An escaped ``${`` would be resolved next time.
+        raise problem
     require_harmless(settings, path)
-    return sweep
+    multirun = DictConfig({"hydra": {"launcher": settings, "sweep": {}, "job": {}}})
+    return Sweep((), launcher["name"], launcher["at_once"], multirun)
 
 
 def remaining_requests(index: SweepIndex, config_dirs: Sequence[Path]) -> list[JobRequest]:

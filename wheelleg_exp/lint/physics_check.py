@@ -49,7 +49,8 @@ class PhysicsReport:
 
     def silences(self, finding: Finding) -> bool:
         """Return whether the config silences a finding."""
-        if finding.rule not in self.reasons or f"check.silence.{finding.rule}" in self.overridden:
+        own = {f"{section}.silence.{finding.rule}" for section in ("check", "env.robot")}
+        if finding.rule not in self.reasons or own & self.overridden:
             return finding.rule in self.reasons
         return not any(key == finding.key or key.startswith(f"{finding.key}.") for key in self.overridden)
 
