@@ -22,4 +22,4 @@ def stand(tmp_path_factory, _cache) -> tuple[Path, dict[str, Any], Path]:
 
 @pytest.fixture(scope="session")
 def clean(stand) -> Columns:
-    return drive(stand[0], seconds=3.0)
+    return drive(stand[0], seconds=5.0)

@@ -38,19 +38,19 @@ def turned(log: Columns) -> Columns:
 
 
 def stale(values: np.ndarray) -> np.ndarray:
-    """Hold 5 of every 12 values between the rows 36 and 144."""
+    """Hold 5 of every 12 values between the rows 60 and 240."""
     rows = np.arange(len(values))
-    return values[np.where((rows >= 36) & (rows < 144) & (rows % 12 < 5), rows - rows % 12, rows)]
+    return values[np.where((rows >= 60) & (rows < 240) & (rows % 12 < 5), rows - rows % 12, rows)]
 
 
 SPEEDS, GYROSCOPE = [f"joint_vel.{j}" for j in JOINTS], [f"base_ang_vel.{a}" for a in "xyz"]
 LATE = [*(f"joint_pos.{j}" for j in JOINTS), *SPEEDS]
-NOISE = 0.5 * np.random.default_rng(0).standard_normal(180)
+NOISE = 0.5 * np.random.default_rng(0).standard_normal(300)
 FAULTS = {
     "order": (exchanged, {"joint_vel.l02", "joint_vel.l03"}, None),
     "sign": (changed(np.negative, "joint_vel.r03"), {"joint_vel.r03"}, None),
     "scale": (changed(lambda v: 1.3 * v, "joint_vel.l03"), {"joint_vel.l03"}, 1.3),
-    "delay": (changed(lambda v: np.concatenate((v[:2], v[:-2])), *LATE), set(LATE), 2),
+    "delay": (changed(lambda v: np.concatenate((v[:1], v[:1], v[:-2])), *LATE), set(LATE), 2),
     "frame": (turned, {*GYROSCOPE, *(f"projected_gravity.{a}" for a in "xyz")}, None),
     "unit": (changed(lambda v: 30 / np.pi * v, *SPEEDS), set(SPEEDS), 9.549),
     "offset": (changed(lambda v: v + 0.05, "joint_pos.l02"), {"joint_pos.l02"}, 0.05),
@@ -84,14 +84,14 @@ def test_a_seeded_fault_is_the_only_finding(stand, clean, kind):
 
 @pytest.mark.slow
 def test_drives_with_wrong_gains_are_found(stand):
-    (finding,) = compare_log(log_of(drive(stand[0], 3.0, gain=0.75)), *stand).findings
+    (finding,) = compare_log(log_of(drive(stand[0], 5.0, gain=0.75)), *stand).findings
     assert (finding.kind, finding.value) == ("gain", pytest.approx(0.75, rel=0.1))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1.0, 3.0])
 def test_a_log_without_faults_has_no_findings(stand, noise):
-    report = compare_log(log_of(drive(stand[0], 3.0, noise=noise, seed=7)), *stand)
+    report = compare_log(log_of(drive(stand[0], 5.0, noise=noise, seed=7)), *stand)
     assert (report.findings, report.policy_difference < 1e-6) == ([], True)
 
 
@@ -122,7 +122,7 @@ def rubbing(model) -> None:
     [(1.003, dict, []), (0.93, dict, ["rate"]), (1.1, tilted, ["rate", "offset"])],
 )
 def test_the_rate_of_the_control_loop_is_named_first(stand, step, fault, kinds):
-    report = compare_log(log_of(fault(drive(stand[0], 3.0, step=step))), *stand)
+    report = compare_log(log_of(fault(drive(stand[0], 5.0, step=step))), *stand)
     assert [finding.kind for finding in report.findings] == kinds
     assert not kinds or report.findings[0].value == pytest.approx(1 / step, rel=1e-3)
 
@@ -130,14 +130,14 @@ def test_the_rate_of_the_control_loop_is_named_first(stand, step, fault, kinds):
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "kinds"), [(dict, ["model"]), (tilted, ["offset", "model"])])
 def test_friction_that_is_not_simulated_is_not_blamed_on_a_sensor(stand, fault, kinds):
-    report = compare_log(log_of(fault(drive(stand[0], 3.0, edit=rubbing))), *stand)
+    report = compare_log(log_of(fault(drive(stand[0], 5.0, edit=rubbing))), *stand)
     assert [finding.kind for finding in report.findings] == kinds
     assert report.findings[-1].columns[0].startswith("joint_vel")
 
 
 @pytest.mark.slow
 def test_a_payload_is_not_blamed_on_the_imu_alone(stand):
-    (finding,) = compare_log(log_of(drive(stand[0], 3.0, edit=heavier)), *stand).findings
+    (finding,) = compare_log(log_of(drive(stand[0], 5.0, edit=heavier)), *stand).findings
     assert finding.columns == ("projected_gravity.x",)
     assert "centre of mass" in finding.wrong
 
