@@ -70,7 +70,7 @@ def test_each_tile_comes_back() -> None:
     }
     tiles["pyramid_sloped_terrain"] |= {"slope_range": [0.1, 0.4], "inverted": True, "platform_width": 1.0}
     tiles["pit_terrain"] |= {"pit_depth_range": [0.1, 0.2], "double_pit": True}
-    stairs = {"step_height_range": [0.05, 0.23], "step_width": 0.25, "platform_width": 2.75, "border_width": 1.0}
+    stairs = {"step_height_range": [0.05, 0.23], "step_width": 0.3, "platform_width": 2.7, "border_width": 1.0}
     tiles["pyramid_stairs_terrain"] |= stairs
     tiles["inverted_pyramid_stairs_terrain"] |= stairs
     tiles["box_terrain"] |= {"box_height_range": [0.1, 0.2], "double_box": False}

@@ -430,10 +430,10 @@ class EnvMapping:
             width, border = node["step_width"], node.get("border_width", 0.0)
             inner = min(size) - 2 * border
             steps = (inner - node["platform_width"]) // (2 * width) + 1
-            node["platform_width"] = max(0.0, inner - (2 * steps - 1) * width)
+            node["platform_width"] = round(max(0.0, inner - (2 * steps - 1) * width), 9)
             rule = "the whole tile is a step lower than in Isaac Lab (inverted: higher), because it has no border"
             if border >= width:
-                node["border_width"] = border - width
+                node["border_width"] = round(border - width, 9)
                 rule = "other border_width and platform_width, but the same heights"
         self._report.add(part.key, NAME if rule is None else RULE, kind if rule is None else f"{kind}: {rule}")
         part.drop(["slope_threshold"], "the tile has slopes")

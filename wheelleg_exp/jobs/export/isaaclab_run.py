@@ -261,8 +261,8 @@ class IsaacLabEnv:
         if kind == "PyramidStairs":  # Isaac Lab's outermost ring is a step higher than the border.
             width, inner = values["step_width"], edge - 2 * values.get("border_width", 0.0)
             steps = math.ceil((inner - values["platform_width"]) / (2 * width) - 1e-9)
-            values["border_width"] = (edge - inner) / 2 + width
-            values["platform_width"] = inner - (2 * steps - 1) * width
+            values["border_width"] = round((edge - inner) / 2 + width, 9)
+            values["platform_width"] = round(inner - (2 * steps - 1) * width, 9)
         if kind == "PyramidSlope":
             values["slope_range"] = [math.tan(angle) for angle in values["slope_range"]]
         return {"function": f"isaaclab.terrains.{module}:{function}", **values}
