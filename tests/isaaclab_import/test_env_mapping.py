@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from sim.terrain.tiles import placed
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
 from wheelleg_exp.asset.convert_robot import read
@@ -15,8 +17,9 @@ from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
 from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
-from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NOT_NEEDED, RULE, ImportReport
+from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NAME, NOT_NEEDED, RULE, ImportReport
 from wheelleg_exp.plain_data import tagged_yaml_value
+from wheelleg_exp.terms.term_binding import resolve_target
 
 LAB_3 = """
 import warp as wp
@@ -26,9 +29,12 @@ from isaaclab_tasks.core.velocity.mdp import feet_slide
 def effort(env, ids):
     robot = env.scene["robot"]
     robot.set_joint_position_target_index(target=wp.to_torch(robot.data.joint_pos))
+    robot.actuators.target_command.set_velocity_index(value=robot.actuators.target_command.velocity.torch)
+    lean = mdp.pva_projected_gravity(env) + robot.data.default_root_pose.torch[ids, :3]
     slide = feet_slide(env) + env.scene.sensors["feet"].data.net_normal_forces_w_history.torch[:, 0]
     return robot.actuators.applied_effort.torch[:, ids].sum(1) + slide
 """
+MDP = "isaaclab.envs.mdp"
 DOFS = {dof.name: dof for body in read(ROBOT, "auto", {})[0].bodies for dof in body.dofs}
 
 
@@ -128,6 +134,14 @@ def test_what_isaac_lab_3_writes_differently() -> None:
         "events.push.resample_interval_on_reset": False,
         "rewards.air_time.func": "isaaclab_tasks.core.velocity.mdp.rewards:feet_air_time",
         "commands.base_velocity.vel_xy_success_threshold": 0.5,
+        "scene.imu": {"class_type": "isaaclab.sensors:Imu", "prim_path": "{ENV_REGEX_NS}/Robot/base_link"},
+        "scene.pva": {"class_type": "isaaclab.sensors:Pva", "prim_path": "{ENV_REGEX_NS}/Robot/base_link"},
+        "observations.policy.tilt": {"func": "isaaclab.envs.mdp:pva_projected_gravity", "params": {}},
+        "observations.policy.turn": {"func": "isaaclab.envs.mdp:pva_orientation", "params": {}},
+        f"{robot}.actuators.rated": {
+            **{"class_type": "isaaclab.actuators:ImplicitActuator", "joint_names_expr": ["l03"]},
+            **{"stiffness": 0.0, "damping": 1.0, "actuator_effort_limit": 6.0},
+        },
     }.items():
         text = changed(text, key, value)
     mapping, _, report = converted(text, AGENT)
@@ -139,10 +153,15 @@ def test_what_isaac_lab_3_writes_differently() -> None:
     assert (drives["velocity_limit"], drives["saturation_effort"]) == (20.0, saturation)
     assert found["actuators"]["wheels"]["effort_limit"] == 8.0
     assert env["scene"]["sensors"]["contact_forces"]["body_names"] == ["[^/]*"]
-    assert env["observations"]["policy"]["terms"]["gravity"]["delay"] == [4, 8]
+    assert found["actuators"]["rated"]["effort_limit"] == 6.0
+    assert [env["scene"]["sensors"][n]["gravity_bias"] for n in ("imu", "pva")] == [[0, 0, 9.81], [0, 0, 0]]
+    terms = env["observations"]["policy"]["terms"]
+    assert (terms["gravity"]["delay"], "turn" in terms, mapping.lost) == ([4, 8], False, ["policy"])
+    assert terms["tilt"]["_target_"].endswith("observations.imu_projected_gravity")
     assert env["rewards"]["air_time"]["_target_"].endswith(".feet_air_time")
     rows = {row.key: row.text for row in report.of(DROPPED)}
     assert "sim.physics.num_substeps" in rows
+    assert "(x, y, z, w)" in rows["observations.policy.turn"]
     assert "0.5" in rows["observations.policy.gravity.delay_hold_prob"]
     assert "resample_interval_on_reset" in rows["events.push"]
     assert "7.0" in rows["scene.robot.actuators.wheels.actuator_effort_limit"]
@@ -175,6 +194,61 @@ def test_terrain_tiles() -> None:
     assert made["slope"]["slope_range"] == pytest.approx([0.0, 0.3805063771])  # atan(0.4)
     assert [made["pit"][key] for key in ("box_height_range", "inverted", "double_box")] == [[0.05, 0.2], True, True]
     assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
+
+
+@pytest.mark.parametrize(("width", "border", "shift"), [(3.0, 1.0, 0), (2.2, 0.4, 0), (3.0, 0.0, 1)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_stairs_are_as_high_as_isaac_labs(sign: int, width: float, border: float, shift: int) -> None:
+    function = f"{'inverted_' if sign < 0 else ''}pyramid_stairs_terrain"
+    tile = {"function": f"isaaclab.terrains.trimesh.mesh_terrains:{function}", "proportion": 1.0}
+    tile |= {"step_height_range": [0.1, 0.2], "step_width": 0.3, "platform_width": width, "border_width": border}
+    mapping, _, report = converted(with_terrain({"size": [8.0, 8.0], "sub_terrains": {"stairs": tile}}), AGENT)
+    node = mapping.env["scene"]["terrain"]["sub_terrains"]["stairs"]
+    made = resolve_target(node.pop("_target_"), "")(**node)
+    ground = placed({"stairs": made}, size=[8.0, 8.0], num_rows=1, num_cols=1, difficulty_range=[1.0, 1.0])
+    # Isaac Lab's ring number k, counted from the border, has the height (k + 1) h; the middle has that of one more.
+    rings = int((8 - 2 * border - width) // 0.6) + 1
+    x = torch.arange(0.05, 8.0, 0.1)
+    to_border = torch.minimum(torch.minimum(x, 8 - x)[:, None], torch.minimum(x, 8 - x)[None]) - border
+    expected = torch.where(to_border < 0, 0, ((to_border / 0.3).floor() + 1).clamp(max=rings + 1) - shift)
+    points = torch.stack(torch.meshgrid(x - 4, x - 4, indexing="ij"), dim=-1)
+    torch.testing.assert_close(ground.height_at(points), sign * 0.2 * expected, atol=1e-4, rtol=0)
+    assert ["same heights" in row.text for row in report.of(RULE) if "PyramidStairs" in row.text] == [shift == 0]
+
+
+def test_names_outside_isaac_lab_are_assumed() -> None:
+    tiles = {"box": {"function": "my_lab.tiles:box_terrain", "box_height_range": [0.1, 0.2], "platform_width": 1.0}}
+    text = with_terrain({"size": [8.0, 8.0], "sub_terrains": tiles})
+    text = changed(text, "observations.policy.base_ang_vel.noise.func", "my_lab.noise:uniform_noise")
+    text = changed(
+        text, "observations.policy.phase", {"func": f"{MDP}.observations:gait_phase", "params": {"period": 1}}
+    )
+    report = converted(text, AGENT)[2]
+    rows = {row.key: row.text for row in report.of(ASSUMED)}
+    assert rows["scene.terrain.terrain_generator.sub_terrains.box"].startswith("my_lab.tiles:box_terrain")
+    assert "observations.policy.base_ang_vel.noise" in rows
+    assert "Sines, then cosines" in rows["observations.policy.phase"]
+    assert not [row for row in report.rows if row.key in rows and row.outcome == NAME]
+
+
+def test_objects_behind_sensors_and_markers_are_reported() -> None:
+    paths = ["/World/envs/env_.*/Cube/.*", "/World/envs/env_.*/Robot/base_link", "/World/ground/terrain"]
+    text = changed(ENV, "scene.contact_forces.filter_prim_paths_expr", paths)
+    text = changed(text, "scene.cube_contact", {"class_type": "isaaclab.sensors:ContactSensor", "prim_path": paths[0]})
+    arrows = {"prim_path": "/Visuals/arrows", "markers": {"arrow": {"func": "isaaclab.sim:spawn_from_usd"}}}
+    text = changed(changed(text, "scene.arrows", arrows), "rewards.own.params.marker_cfg", arrows)
+    mapping, _, report = converted(text, AGENT)
+    sensors = mapping.env["scene"]["sensors"]
+    assert (list(sensors), sensors["contact_forces"]["filter_body_names"]) == (
+        ["contact_forces"],
+        ["base_link", "ground"],
+    )
+    dropped = {row.key: row.text for row in report.of(DROPPED)}
+    assert dropped["scene.contact_forces.filter_prim_paths_expr"].startswith("/World/envs/env_.*/Cube/.*:")
+    assert dropped["scene.cube_contact"].startswith("a ContactSensor:")
+    markers = [row.key for row in report.of(NOT_NEEDED) if row.text.startswith("markers")]
+    places = ["scene.arrows", "rewards.own.params.marker_cfg", "commands.base_velocity.goal_vel_visualizer_cfg"]
+    assert sorted(markers) == sorted(places)
 
 
 def test_limits_of_explicit_actuators_are_also_those_of_the_engine() -> None:
@@ -264,4 +338,6 @@ def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
     assert "data.net_forces_w_history)" not in text
     assert "env.scene.sensors['feet'].data.net_forces_w_history[:, 0]" in text
     assert "robot.set_joint_position_target(target=robot.data.joint_pos)" in text
+    assert "robot.set_joint_velocity_target(target=robot.data.joint_vel_target)" in text
+    assert "lean = mdp.imu_projected_gravity(env) + robot.data.default_root_state[:, :7][ids, :3]" in text
     assert "from wheelleg_exp.isaaclab_tasks.core.velocity.mdp import feet_slide" in text

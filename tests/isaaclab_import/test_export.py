@@ -70,12 +70,15 @@ def test_each_tile_comes_back() -> None:
     }
     tiles["pyramid_sloped_terrain"] |= {"slope_range": [0.1, 0.4], "inverted": True, "platform_width": 1.0}
     tiles["pit_terrain"] |= {"pit_depth_range": [0.1, 0.2], "double_pit": True}
+    stairs = {"step_height_range": [0.05, 0.23], "step_width": 0.3, "platform_width": 2.7, "border_width": 1.0}
+    tiles["pyramid_stairs_terrain"] |= stairs
+    tiles["inverted_pyramid_stairs_terrain"] |= stairs
     tiles["box_terrain"] |= {"box_height_range": [0.1, 0.2], "double_box": False}
     generator = {"size": [8.0, 8.0], "sub_terrains": tiles}
     mapping, _, _ = converted(with_terrain(generator), AGENT)
     made = IsaacLabEnv({**mapping.env, "robot": {**mapping.robot, "asset": "robot.usd"}}, 0)
     found = made.tree["scene"]["terrain"]["terrain_generator"]["sub_terrains"]
-    assert not [note for note in made.notes if "terrain" in note]
+    assert [note.split(":")[0].rpartition(".")[2] for note in made.notes if "terrain" in note] == ["gap_depth"]
     for name, tile in tiles.items():
         assert found[name].pop("function").rpartition(":")[2] == name
         expected = {key: value for key, value in tile.items() if key not in ("function", "slope_range")}

@@ -21,6 +21,7 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.isaaclab_import.import_report import CODE
 from wheelleg_exp.isaaclab_import.make_project import import_run
+from wheelleg_exp.jobs.evaluate_policy import noisy_groups
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -51,7 +52,13 @@ def test_an_imported_run_plays_and_trains_further(
     exported = torch.jit.load(run.exported / "policy.pt")
     x = torch.randn(5, 25)
     torch.testing.assert_close(exported(x), policy.actor(x), atol=1e-5, rtol=1e-5)
-    assert main(["play", str(run.path), "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
+    words = ["play", str(run.path), "env.episode_length_s=0.4", "env.num_envs=2"]
+    assert main(words) == 0
+    assert "no pushes, random forces, or observation noise" in capsys.readouterr().err
+    assert main([*words, "play.conditions=training"]) == 0
+    assert "play.conditions=undisturbed" in capsys.readouterr().err
+    groups = [noisy_groups(run, words) for words in ([], ["env.observations.policy.enable_corruption=false"])]
+    assert groups == [["policy"], []]
     assert main(["resume", str(run.path), "agent.max_iterations=2"]) == 0
     assert main(["check", "task=flip0"]) == 0
     text = (project / "README.md").read_text()
@@ -354,21 +361,21 @@ def test_broken_folders(tmp_path: Path, case: str, monkeypatch: pytest.MonkeyPat
 FLIP = {"flip": RL_SAR["flip/robot_lab"] | {"joint_names": ["r01", "r02", "l01", "l02", "r03", "l03"]}}
 SPOILED = {
     "deploy.yaml": {
-        **{"step_dt": float("nan"), "stiffness": [3.0], "default_joint_pos": "x", "joint_ids_map": [0, 0, 0, 0, 0, 0]},
+        **{"step_dt": float("nan"), "stiffness": [3.0], "default_joint_pos": "x", "joint_ids_map": [-1, 0, 1, 2, 3, 4]},
         **{"observations": {}, "actions": {}, "commands": [1], "damping": [-1.0] * 6},
         **{"observations.base_ang_vel.history_length": -1, "observations.last_action.scale": [float("inf")] * 6},
-        **{"actions.JointPositionAction.joint_ids": [-9] * 6, "actions.JointPositionAction.scale": [float("nan")] * 6},
+        **{"actions.JointPositionAction.joint_ids": [-1] * 6, "actions.JointPositionAction.scale": [float("nan")] * 6},
         **{"commands.base_velocity.ranges.lin_vel_x": [float("nan")] * 2},
     },
     "config.yaml": {
-        **{"flip.dt": 0.0, "flip.decimation": 0, "flip.wheel_indices": [9], "flip.joint_mapping": [0, 0, 0, 0, 0, 0]},
+        **{"flip.dt": 0.0, "flip.decimation": 0, "flip.wheel_indices": [-1], "flip.joint_mapping": [0, 0, 0, 0, 0, 0]},
         **{"flip.observations": ["os.system"], "flip.action_scale": None, "flip": {}},
         **{"flip.default_dof_pos": [1e400] * 6, "flip.joint_names": ["x"] * 6, "flip.model_name": "../../etc/passwd"},
         **{"flip.rl_kp": [-3.0] * 6, "flip.observations_history": [-1, -2], "flip.dof_pos_scale": {}},
     },
     "params.yaml": {
         **{"PointfootCfg.loop_frequency": 0, "PointfootCfg.joint_names": [], "PointfootCfg": 3},
-        **{"PointfootCfg.size.jointpos_idxs": [99], "PointfootCfg.control.decimation": "ten"},
+        **{"PointfootCfg.size.jointpos_idxs": [0, -1], "PointfootCfg.control.decimation": "ten"},
         **{"PointfootCfg.size.obs_history_length": 10**9, "PointfootCfg.normalization.obs_scales.lin_vel": 0.0},
         **{"Tron2Cfg": TRON2 | {"gait": {"enabled": True}}},
     },

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,9 +86,13 @@ class Evaluator:
 def run(args: argparse.Namespace) -> int:
     """Evaluate one or several policies, print and store their metrics, and compare the policies with each other."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
+    from wheelleg_exp.jobs.evaluate_policy import noisy_groups
 
     policies, others, overrides, engines = _request(args)
     reference = None
+    for name in noisy_groups(policies[0][0], overrides, args.config_dirs):
+        override = f"env.observations.{name}.enable_corruption=false"
+        print(f"note: the policy observes the noise of its training ({override} switches it off)", file=sys.stderr)
     with ConsoleDisplay(quiet=True) as display:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         groups = [(policies, overrides), (others, overrides)]

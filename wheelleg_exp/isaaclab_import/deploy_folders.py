@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.config.composing.compose import compose
@@ -87,6 +88,14 @@ def _by_joint(joints: Sequence[str], values: Sequence[object]) -> Tree:
     return dict(zip(joints, values, strict=True))
 
 
+def _picked(items: Sequence[Any], indices: Sequence[int], key: str, where: str) -> list[Any]:
+    """Return the items at the indices, which must not be negative."""
+    if wrong := [index for index in indices if index not in range(len(items))]:
+        message, expected = f"{wrong[0]} is not an index of a joint", f"0 to {len(items) - 1}"
+        raise RunDirectoryError(message, key=key, where=where, expected=expected)
+    return [items[index] for index in indices]
+
+
 def _command(ranges: Mapping[str, object]) -> Tree:
     limits = {axis: ranges.get(axis) or [0.0, 0.0] for axis in _FASTEST}
     node = {"class_type": f"{_MDP}.commands.velocity_command:UniformVelocityCommand", "ranges": limits}
@@ -125,7 +134,7 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     report.add("joint_ids_map", ASSUMED, text)
     step = (_STEP, round(config["step_dt"] / _STEP))
     report.add("sim.dt", ASSUMED, f"{_STEP} s, Isaac Lab's step for locomotion; {step[1]} steps per control step")
-    gains = {name: [config[name][motor] for motor in order] for name in ("stiffness", "damping")}
+    gains = {name: _picked(config[name], order, "joint_ids_map", where) for name in ("stiffness", "damping")}
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")
     if velocity is None:
@@ -134,7 +143,7 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     (kind, action), *more = config["actions"].items()
     if more:
         raise RunDirectoryError("the policy has several actions", key="actions", where=where, expected="one action")
-    moved = [joints[index] for index in action.get("joint_ids") or range(len(joints))]
+    moved = _picked(joints, action.get("joint_ids") or range(len(joints)), f"actions.{kind}.joint_ids", where)
     settings = {name: _by_joint(moved, action[name]) for name in ("clip", "scale", "offset") if action.get(name)}
     tree["actions"] = {"joint_pos": _action(kind, moved, **settings, use_default_offset=False)}
     tree["observations"] = {"policy": _unitree_observations(config["observations"], where)}
@@ -183,8 +192,8 @@ def _limx(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
         return _limx_with_kinds(folder, names, report)
     config = folder.config["PointfootCfg"]
     control, normal, listed = config["control"], config["normalization"], config["joint_names"]
-    number, legs = len(listed), [listed[index] for index in config["size"]["jointpos_idxs"]]
-    scales, order = normal["obs_scales"], list(range(number))
+    legs = _picked(listed, config["size"]["jointpos_idxs"], "size.jointpos_idxs", str(folder.config_file))
+    number, scales, order = len(listed), normal["obs_scales"], list(range(len(listed)))
     observed = [scales["lin_vel"], scales["lin_vel"], scales["ang_vel"]]
     if folder.policy is not None and folder.policy.parent.name == "isaaclab":  # left and right joints alternate
         order = [index for pair in zip(order[: number // 2], order[number // 2 :], strict=True) for index in pair]
@@ -300,9 +309,8 @@ def _rl_sar_joints(config: Tree, names: Sequence[str], where: str) -> tuple[list
     if unknown:
         message = f"the robot file has no joint '{unknown[0]}'"
         raise ConfigError(message, key="joint_names", where=where, expected=", ".join(names))
-    joints = [listed[index] for index in config.get("joint_mapping") or range(len(listed))]
-    wheels = [joints[index] for index in config.get("wheel_indices") or []]
-    return joints, wheels
+    joints = _picked(listed, config.get("joint_mapping") or range(len(listed)), "joint_mapping", where)
+    return joints, _picked(joints, config.get("wheel_indices") or [], "wheel_indices", where)
 
 
 def _rl_sar_actions(config: Tree, joints: list[str], wheels: list[str], report: ImportReport) -> Tree:

@@ -20,7 +20,7 @@ from wheelleg_exp.isaaclab_import.import_report import (
     shown,
 )
 from wheelleg_exp.isaaclab_import.term_mapping import TermMapping, UserTarget, entity, last_name, parameters_of
-from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, PATTERNS, PIT_NAMES, TILES, Tree
+from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, MODIFIERS, NOISES, PATTERNS, PIT_NAMES, TILES, Tree
 from wheelleg_exp.sim.names import compiled, values_by_name
 
 _DRAWN = "nothing is drawn during training"
@@ -59,10 +59,18 @@ _TERRAIN_UNUSED = (*_UNUSED, "num_envs", "env_spacing", "use_terrain_origins", "
 _GENERATOR_UNUSED = ("class_type", "color_scheme", "use_cache", "cache_dir")
 _SENSOR_UNUSED = (
     *_UNUSED,
-    *("visualizer_cfg", "normal_force_visualizer_cfg", "friction_force_visualizer_cfg", "force_visualization_scale"),
-    *("spawn", "mesh_prim_paths", "global_world_only", "use_cuda_graph"),
+    *("force_visualization_scale", "spawn", "mesh_prim_paths", "global_world_only", "use_cuda_graph"),
     *("max_contact_data_count_per_prim", "max_contact_data_per_prim"),
 )
+_ISAAC_LAB = re.compile(r"(omni\.isaac\.lab|isaaclab)\w*\.")
+# Classes and functions that are recognised by the last part of their path.
+_BY_LAST_NAME = {
+    *("Articulation", "TerrainImporter", "ContactSensor", "RayCaster", "Imu", "Pva"),
+    *(*TILES, *PATTERNS, *NOISES, *MODIFIERS),
+}
+_MARKERS = re.compile(".*visualizer_cfg")
+_IN_ENV = re.compile(r"\{ENV_REGEX_NS\}|/World/envs/env_[^/]*")
+_ONLY = "the scene contains only the robot, the ground, and the robot's sensors"
 # PhysX combines two materials with the mode of higher priority.
 _COMBINE = ("average", "min", "multiply", "max")
 _ACTUATORS = {
@@ -74,6 +82,14 @@ _BY_JOINT = (
     *("scale", "offset", "clip", "stiffness", "damping", "effort_limit", "velocity_limit", "effort_limit_sim"),
     *("velocity_limit_sim", "armature", "friction", "viscous_friction", "dynamic_friction"),
 )
+# How tiles that follow a rule of this project differ from Isaac Lab's.
+_TILE_RULES = {
+    "Gap": "the gap is 1 m deep; in Isaac Lab, it has no bottom",
+    "PyramidSlope": "faces have one slope; in Isaac Lab, the slope decreases from the middle of a face to its corners",
+    "Rails": "edges are rounded to horizontal_scale, and the outer rail is a square; in Isaac Lab, neither",
+    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, that of the highest square",
+    "SteppingStones": "stones and holes have the given widths; in Isaac Lab, these are rounded to horizontal_scale",
+}
 _CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
 _FRICTION = 0.5  # Isaac Lab's default coefficient of a material
 
@@ -99,8 +115,9 @@ class EnvMapping:
     ) -> None:
         self._directory = directory
         self._names = _Names(names or {}, dofs, links)
-        self._root = Section(self._names.applied(tree), "", report)
         self._dofs, self._user_target, self._report = dofs, user_target, report
+        self._foreign: dict[str, str] = {}
+        self._root = Section(self._prepared(self._names.applied(tree)), "", report)
         self._robot_name = "robot"
         self._xyzw = is_version_3(tree)  # Isaac Lab 3.0 has quaternions (x, y, z, w).
         self.robot: Tree = {}
@@ -128,7 +145,7 @@ class EnvMapping:
             sim.drop(names, reason, DROPPED if reason == _ENGINE else NOT_NEEDED)
         sim.finish()
         self._scene(root.section("scene"), material)
-        terms = TermMapping(self.env, self._robot_name, self._user_target, self._report)
+        terms = TermMapping(self.env, self._robot_name, self._user_target, self._report, xyzw=self._xyzw)
         for kind in KINDS:
             part = root.section(kind)
             part.drop([key for key in part.left if _OF_DATASET.match(key)], _RECORDED, NOT_NEEDED)
@@ -137,7 +154,28 @@ class EnvMapping:
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)
         root.finish()
+        for key, source in self._foreign.items():
+            self._report.replace(key, ASSUMED, f"{source} is treated as Isaac Lab's {last_name(source)}")
         self._names.require_used()
+
+    def _prepared(self, value: object, key: str = "") -> object:
+        """Return the config without markers; note the code outside Isaac Lab that has a name of Isaac Lab."""
+        if isinstance(value, list):
+            return [self._prepared(item, key) for item in value]
+        if not isinstance(value, Mapping):
+            return value
+        source = str(value.get("class_type") or value.get("func") or value.get("function"))
+        if last_name(source) in _BY_LAST_NAME and not _ISAAC_LAB.match(source):
+            self._foreign[key] = source
+        found: Tree = {}
+        for name, item in value.items():
+            place = f"{key}.{name}" if key else str(name)
+            named, is_node = _MARKERS.fullmatch(str(name)), isinstance(item, Mapping)
+            if is_node and (named or item.keys() >= {"prim_path", "markers"}):
+                self._report.add(place, NOT_NEEDED, f"markers: {_DRAWN}")
+            else:
+                found[name] = self._prepared(item, place)
+        return found
 
     def _newton(self, part: Section) -> None:
         """Take over the settings of MuJoCo's solver, with which Isaac Lab 3.0 can simulate, and report the others."""
@@ -159,8 +197,13 @@ class EnvMapping:
         modes: list[str] = []
         frictions = self._frictions(material, modes)
         sensors = {"ContactSensor": self._contact_sensor, "RayCaster": self._ray_caster, "Imu": self._imu}
+        sensors["Pva"] = self._imu  # Isaac Lab 3.0's name of the Imu of 2.3.2
+        nodes = dict(scene.items())
+        mappings = [node for node in nodes.values() if isinstance(node, Mapping)]
+        found = [node.get("prim_path") for node in mappings if last_name(node.get("class_type")) == "Articulation"]
+        self._robot_path = _IN_ENV.sub("", str(found[0] or "")) if found else ""
         robots = 0
-        for name, node in list(scene.items()):
+        for name, node in nodes.items():
             kind = last_name(node.get("class_type")) if isinstance(node, Mapping) else ""
             key = f"scene.{name}"
             part = Section(node if kind else None, key, self._report)
@@ -172,7 +215,7 @@ class EnvMapping:
                 self._robot(part)
             elif kind == "TerrainImporter":
                 self.env["scene"]["terrain"] = self._terrain(part, modes)
-            elif kind in sensors:
+            elif kind in sensors and self._in_scene(part.left.get("prim_path")):
                 self.env["scene"]["sensors"][name] = sensors[kind](part)
             elif "spawn_light" in str(node) or "Light" in str(node):
                 self._report.add(key, NOT_NEEDED, f"a light: {_DRAWN}")
@@ -182,7 +225,7 @@ class EnvMapping:
                 self._report.add(key, RULE, "a plane")
             else:
                 what = kind or last_name(_spawn(node).get("func")) or "object"
-                self._report.add(key, DROPPED, f"a {what}: the scene contains only the robot, the ground, and sensors")
+                self._report.add(key, DROPPED, f"a {what}: {_ONLY}")
         if not robots:
             raise ConfigError("the run has no articulation", key="env.yaml: scene", expected="a robot")
         if self.env["scene"]["terrain"] is None:
@@ -264,7 +307,9 @@ class EnvMapping:
             part.take(f"joint_{name}", part.take(f"{name}_sim")) for name in ("effort_limit", "velocity_limit")
         )
         if kind == "ImplicitActuator":
-            effort, engine_effort = effort if engine_effort is None else engine_effort, None
+            if engine_effort is None:
+                engine_effort = part.take("actuator_effort_limit", effort)
+            effort, engine_effort = engine_effort, None
             velocity = None  # Isaac Lab ignores the velocity limit of an implicit actuator.
             part.drop(["actuator_effort_limit", "actuator_velocity_limit"], "the solver has only the joint's limits")
         else:
@@ -352,7 +397,7 @@ class EnvMapping:
         node |= {"border_width": 0.0, "difficulty_range": [0.0, 1.0], "curriculum": False}
         node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
-        made = {name: self._tile(tile) for name, tile in tiles.sections()}
+        made = {name: self._tile(tile, node["size"]) for name, tile in tiles.sections()}
         node["sub_terrains"] = {name: tile for name, tile in made.items() if tile is not None}
         if not node["sub_terrains"]:
             raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(TILES))
@@ -361,7 +406,7 @@ class EnvMapping:
         part.finish(skip=_GENERATOR_UNUSED)
         return node
 
-    def _tile(self, part: Section) -> Tree | None:
+    def _tile(self, part: Section, size: Sequence[float]) -> Tree | None:
         function = last_name(part.take("function"))
         if function not in TILES:
             self._report.add(part.key, DROPPED, f"'{function}' does not exist here; the shares of the other tiles grow")
@@ -377,7 +422,20 @@ class EnvMapping:
             text = f"[{low}, {high}] (rise over run) became radians, also between them"
             self._report.add(f"{part.key}.slope_range", RULE, text)
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
-        self._report.add(part.key, NAME, kind)
+        rule = _TILE_RULES.get(kind)
+        if kind == "Gap":
+            node["gap_depth"] = 1.0
+        if kind == "PyramidStairs":
+            # Isaac Lab's stairs start with a step at the border, and have as many steps as fit.
+            width, border = node["step_width"], node.get("border_width", 0.0)
+            inner = min(size) - 2 * border
+            steps = (inner - node["platform_width"]) // (2 * width) + 1
+            node["platform_width"] = round(max(0.0, inner - (2 * steps - 1) * width), 9)
+            rule = "the whole tile is a step lower than in Isaac Lab (inverted: higher), because it has no border"
+            if border >= width:
+                node["border_width"] = round(border - width, 9)
+                rule = "other border_width and platform_width, but the same heights"
+        self._report.add(part.key, NAME if rule is None else RULE, kind if rule is None else f"{kind}: {rule}")
         part.drop(["slope_threshold"], "the tile has slopes")
         part.finish(skip=("size", "vertical_scale", "convert_to_heightfield"))
         return node
@@ -392,8 +450,10 @@ class EnvMapping:
             "force_threshold": part.take("force_threshold", 1.0),
         }
         paths = part.take("filter_prim_paths_expr", [])
-        if paths:
-            node["filter_body_names"] = [name for path in paths for name in self._bodies(path)]
+        if unknown := [path for path in paths if not self._in_scene(path)]:
+            self._report.add(f"{part.key}.filter_prim_paths_expr", DROPPED, f"{', '.join(map(str, unknown))}: {_ONLY}")
+        if names := [name for path in paths if path not in unknown for name in self._bodies(path)]:
+            node["filter_body_names"] = names
         period = part.take("update_period", 0.0)
         if period and period > self.env["sim"]["dt"]:
             node["update_period"] = period
@@ -420,6 +480,9 @@ class EnvMapping:
 
     def _imu(self, part: Section) -> Tree:
         node = self._mounted(part, "Imu") | part.take_if_known(("gravity_bias", "update_period"))
+        if self._xyzw and "gravity_bias" not in node:  # In Isaac Lab 3.0, only an Imu measures gravity.
+            is_imu = last_name(part.left.get("class_type")) == "Imu"
+            node["gravity_bias"] = [0.0 - is_imu * axis for axis in self.env["sim"]["gravity"]]
         part.finish(skip=("history_length", *_SENSOR_UNUSED))
         return node
 
@@ -429,6 +492,11 @@ class EnvMapping:
         offset, body = part.section("offset"), self._bodies(part.take("prim_path"))[0]
         pose = {"pos": offset.take("pos", [0.0, 0.0, 0.0]), "rot": self._quaternion(offset.take("rot"), offset.key)}
         return {"_target_": f"wheelleg_exp.sim.sensors.{kind}", "body_name": body, "offset": pose}
+
+    def _in_scene(self, prim_path: object) -> bool:
+        """Return whether a prim path belongs to the robot or to the ground."""
+        place = _IN_ENV.sub("", str(prim_path or self._robot_path))
+        return place.startswith("/World/ground") or f"{place}/".startswith(f"{self._robot_path}/")
 
     def _bodies(self, prim_path: object) -> list[str]:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""

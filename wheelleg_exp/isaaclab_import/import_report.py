@@ -14,7 +14,7 @@ NAME, RULE, ASSUMED, DROPPED, CODE = "by name", "by rule", "assumed", "dropped",
 NOT_NEEDED = "not needed"
 _MEANINGS = {
     NAME: "the same name exists here, with the same parameters",
-    RULE: "written differently here, with the same meaning",
+    RULE: "written differently here, with the same meaning, or with the named difference",
     ASSUMED: "the run does not say it, or says something else: check it",
     DROPPED: "has no counterpart, for the given reason",
     CODE: "the author's own code: give its folder with --terms",

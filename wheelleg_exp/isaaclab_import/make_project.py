@@ -96,9 +96,12 @@ def import_run(
         lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost and weights is not None]
         if lost:
             rows = [row for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
-            key = next(row.key for row in rows if row.key.startswith(f"observations.{lost[0]}."))
-            expected = "--terms FOLDER with the author's Python code"
-            raise ConfigError("the policy observes a term that does not exist here", key=key, expected=expected)
+            row = next(row for row in rows if row.key.startswith(f"observations.{lost[0]}."))
+            message, expected = row.text, "a policy without this observation"
+            if row.outcome == CODE:
+                message = "the policy observes a term that does not exist here"
+                expected = "--terms FOLDER with the author's Python code"
+            raise ConfigError(message, key=row.key, expected=expected)
         task = _write_project(draft, copied.name, mapping, agent, author)
         _remove_failing_terms(draft, task, report)
         draft.rename(path)

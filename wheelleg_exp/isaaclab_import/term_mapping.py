@@ -8,8 +8,8 @@ from importlib import import_module
 from types import ModuleType
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.isaaclab_import.import_report import CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
-from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES, Tree
+from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
+from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES, OWN_TERMS, Tree
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
 _STOCK = re.compile(
@@ -18,6 +18,8 @@ _STOCK = re.compile(
 )
 # Settings of commands that only change the log and what is drawn.
 _SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*visualizer_cfg|.*success_threshold")
+_OF_VERSION_3 = {"pva_orientation": "imu_orientation", "pva_projected_gravity": "imu_projected_gravity"}
+_WITH_QUATERNIONS = ("root_quat_w", "body_pose_w", "imu_orientation")
 _NOISE_KEYS = ("noise", "noise_cfg", "bias_noise_cfg")
 _OWN = "wheelleg_exp."
 
@@ -28,8 +30,11 @@ UserTarget = Callable[[str, Iterable[str]], str | None]
 class TermMapping:
     """Converts terms of the run's robot ``robot_name``; ``lost`` are the observation groups that lack a term."""
 
-    def __init__(self, env: Tree, robot_name: str, user_target: UserTarget, report: ImportReport) -> None:
+    def __init__(
+        self, env: Tree, robot_name: str, user_target: UserTarget, report: ImportReport, *, xyzw: bool
+    ) -> None:
         self._env, self._robot_name, self._user_target, self._report = env, robot_name, user_target, report
+        self._xyzw = xyzw
         self.lost: list[str] = []
 
     def section(self, kind: str, part: Section) -> Tree:
@@ -77,6 +82,10 @@ class TermMapping:
             text = f"{source} {shown(part.left, 160)}" if reason is None else f"{source}: {reason}"
             self._report.add(part.key, CODE if reason is None else DROPPED, text)
             return None
+        if self._xyzw and kind == "observations" and self._has_quaternion(target, params):
+            text = f"{source}: its quaternion is (x, y, z, w) in Isaac Lab 3.0, and (w, x, y, z) here"
+            self._report.add(part.key, DROPPED, text)
+            return None
         node: Tree = {"_target_": target}
         node |= {key: self._value(key, value) for key, value in part.take_if_known(RESERVED[kind]).items()}
         if kind == "observations":
@@ -97,7 +106,10 @@ class TermMapping:
         if kind == "actions" and not node.get("preserve_order") and "joint_names" in node:
             node["joint_names"] = _one_expression(node["joint_names"])
         part.finish()
-        if target.startswith(_OWN):
+        if not source.startswith(_OWN) and target.startswith(_OWN) and last_name(source) in OWN_TERMS:
+            summary = str(resolve_target(target, part.key).__doc__).partition("\n")[0]
+            self._report.add(part.key, ASSUMED, f"{last_name(source)} is that of this project: {summary}")
+        elif target.startswith(_OWN):
             self._report.add(part.key, NAME, last_name(source))
         else:
             self._report.add(part.key, RULE, f"{source} became {target}")
@@ -141,8 +153,15 @@ class TermMapping:
                 self._report.add(f"{part.key}.{key}", DROPPED, text)
         return found
 
+    def _has_quaternion(self, target: str, params: object) -> bool:
+        """Return whether an observation contains a quaternion, itself or in its command."""
+        command = params.get("command_name") if isinstance(params, Mapping) else None
+        node = self._env["commands"].get(command) or {}
+        return last_name(target) in _WITH_QUATERNIONS or last_name(node.get("_target_")) == "UniformPoseCommand"
+
     def _target(self, kind: str, source: str, params: Iterable[str]) -> str | None:
         module, name = _module(kind), last_name(source)
+        name = _OF_VERSION_3.get(name, name)
         if _STOCK.match(source) and callable(getattr(module, name, None)):
             return f"{module.__name__}.{name}"
         return self._user_target(source, params)

@@ -92,6 +92,15 @@ def _settings_read(tree: Mapping[str, object], protocol: Protocol) -> Mapping[st
     return {"env": {**used, "rewards": rewards}, "agent": agent}
 
 
+def noisy_groups(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> list[str]:
+    """Return the groups of observations of the policy with the noise of its training, which an evaluation leaves on."""
+    config, _ = evaluation_settings(run, overrides, config_dirs)
+    seen = {name: config.env.observations[name] for name in config.agent.obs_groups[config.agent.roles[0]]}
+    return [
+        n for n, group in seen.items() if group.enable_corruption and any(t.get("noise") for t in group.terms.values())
+    ]
+
+
 def run_overrides(overrides: Sequence[str]) -> list[str]:
     """Return an evaluation's overrides without those of ``protocol`` and ``seed``, such as ``seed=3``."""
     return [text for text in overrides if not _is_of_protocol(text)]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -236,14 +237,15 @@ class IsaacLabEnv:
         found |= {"terrain_type": "plane", "physics_material": material}
         if kind == "TerrainGenerator":
             generator = self._values(key, kind, node, _OF_GENERATOR)
-            generator["sub_terrains"] = self._each(self._tile, node["sub_terrains"], f"{key}.sub_terrains")
+            tile = partial(self._tile, min(node["size"]))
+            generator["sub_terrains"] = self._each(tile, node["sub_terrains"], f"{key}.sub_terrains")
             found |= {"terrain_type": "generator", "terrain_generator": generator}
             found["max_init_terrain_level"] = node.get("max_init_terrain_level")
         elif kind != "Plane":
             self.notes.append(f"{key}: a plane replaces the {kind}")
         return found
 
-    def _tile(self, key: str, node: Tree) -> Tree | None:
+    def _tile(self, edge: float, key: str, node: Tree) -> Tree | None:
         kind = _name(node)
         turned = kind in ("PyramidStairs", "Box") and bool(node.get("inverted"))
         function = next((f for f, made in TILES.items() if made == kind and (f in INVERTED) == turned), None)
@@ -256,6 +258,11 @@ class IsaacLabEnv:
         for there, here in renamed.items():
             if here in values:
                 values[there] = values.pop(here)
+        if kind == "PyramidStairs":  # Isaac Lab's outermost ring is a step higher than the border.
+            width, inner = values["step_width"], edge - 2 * values.get("border_width", 0.0)
+            steps = math.ceil((inner - values["platform_width"]) / (2 * width) - 1e-9)
+            values["border_width"] = round((edge - inner) / 2 + width, 9)
+            values["platform_width"] = round(inner - (2 * steps - 1) * width, 9)
         if kind == "PyramidSlope":
             values["slope_range"] = [math.tan(angle) for angle in values["slope_range"]]
         return {"function": f"isaaclab.terrains.{module}:{function}", **values}

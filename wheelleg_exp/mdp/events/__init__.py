@@ -49,5 +49,7 @@ ABSENT = {
     "randomize_fixed_tendon_parameters": "a robot's tendons are not driven here",
     "randomize_visual_texture_material": "training renders no images",
     "randomize_visual_color": "training renders no images",
+    "randomize_visual_material": "training renders no images",
+    "randomize_visual_shape": "training renders no images",
     "reset_nodal_state_uniform": "there are no deformable bodies",
 }
