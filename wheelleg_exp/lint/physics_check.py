@@ -35,7 +35,7 @@ class PhysicsReport:
     case: Case
     findings: tuple[Finding, ...]
     reasons: Mapping[str, str]
-    overridden: frozenset[str] = frozenset()
+    overridden: frozenset[str]
 
     @property
     def open(self) -> list[Finding]:
