@@ -3,8 +3,10 @@
     MUJOCO_GL=egl python docs/make_arena.py DETAILS
 
 DETAILS is a JSON file that maps a row's name to ``policy``, ``source``, ``licence``, ``trained``, ``proof``, and
-``run``, the run directory with evaluations of ``protocol=arena``; the newest of each test counts. The rows are added to
-``docs/tables/arena.json``, from which the page is written, also without arguments.
+``run``, the run directory with evaluations of ``protocol=arena``; the newest of each test counts. ``physx`` is the run
+directory with evaluations of the engine ``physx``, if they are not in ``run``. The rows are added to
+``docs/tables/arena.json``, and their figures replace those of the same tests. The page is written from that file, also
+without arguments.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ COLUMNS: tuple[tuple[str, str, str, float, str], ...] = (
     ("step down", "terrain/levels_passed/step_down", " r", 0.25, ""),
     ("cost of transport", "walk/cost_of_transport_net", "", 1, ""),
     ("chatter", "walk/fast_power_share", " %", 100, ""),
+    ("torque of the legs", "walk/torque_share_legs", " %", 100, ""),
+    ("torque of the wheels", "walk/torque_share_wheels", " %", 100, ""),
 )
 # The figures of the plot, each with the value that reaches the right edge.
 DOTS = {
@@ -58,33 +62,46 @@ DOTS = {
 }
 
 
-def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row with the metrics of a run's newest evaluations with the protocol."""
-    env, _ = run_config.load_params(run)
+def measured(run: RunDirectory, engine: str) -> tuple[dict[str, list[float]], dict[str, Any]]:
+    """Return the figures of a run's newest evaluations with the protocol in an engine, and facts about the newest."""
     contents = [read_content(path.parent) for path in sorted(run.evaluation.glob(f"*/{RESULT}"))]
-    found = [content for content in contents if content["protocol"]["name"] == "arena"]
+    found = [c for c in contents if (c["protocol"]["name"], c["about"]["engine"]) == ("arena", engine)]
+    metrics = {name: value for content in found for name, value in content["metrics"].items()}
+    shown = {
+        metric: [metrics[metric][part] for part in ("value", "low", "high")]
+        for _, metric, *_ in COLUMNS
+        if metrics.get(metric, {}).get("value") is not None
+    }
+    return shown, found[-1]["about"] if found else {}
+
+
+def row_of(run: RunDirectory, details: Mapping[str, Any], old: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with the metrics of a run's newest evaluations, and with those of the ``old`` row that they lack."""
+    env, _ = run_config.load_params(run)
+    found, about = measured(run, "mujoco")
+    second, engine = measured(RunDirectory(Path(details.get("physx", details["run"]))), "physx")
     if not found:
         raise SystemExit(f"{run.path} has no evaluation of protocol=arena")
-    metrics = {name: value for content in found for name, value in content["metrics"].items()}
     robot, ranges = env["robot"], env["commands"]["base_velocity"]["ranges"]
     return {
-        **{key: value for key, value in details.items() if key != "run"},
-        "mass": found[-1]["about"]["mass_kg"],
+        **{key: value for key, value in details.items() if key not in ("run", "physx")},
+        "mass": about["mass_kg"],
         "size": robot.get("size") or details.get("size"),  # old run directories lack it
         "commands": [max(map(abs, ranges[axis])) for axis in ("lin_vel_x", "ang_vel_z")],
-        "figures": {
-            metric: [metrics[metric][part] for part in ("value", "low", "high")]
-            for _, metric, *_ in COLUMNS
-            if metrics.get(metric, {}).get("value") is not None
-        },
+        "versions": {"MuJoCo": about["mujoco"], **({"ovphysx": engine["promise"]["version"]} if second else {})},
+        "figures": {**old.get("figures", {}), **found},
+        "physx": {**old.get("physx", {}), **second},
     }
 
 
-def figures(row: Mapping[str, Any], column: tuple[str, str, str, float, str]) -> list[float]:
-    """Return a figure of a row in the unit of its column, and the ends of its interval; empty if it is missing."""
+def figures(row: Mapping[str, Any], column: tuple[str, str, str, float, str], of: str = "figures") -> list[float]:
+    """Return a figure of a row in the unit of its column, and the ends of its interval; empty if it is missing.
+
+    ``of`` is the row's key: ``figures`` for MuJoCo's, ``physx`` for PhysX's.
+    """
     _, metric, _, factor, by = column
     divisor = {"": 1.0, "mass": row["mass"], "speed": math.sqrt(9.81 * row["size"]) if row["size"] else math.nan}[by]
-    return [factor * value / divisor for value in row["figures"].get(metric, [])]
+    return [factor * value / divisor for value in row.get(of, {}).get(metric, [])]
 
 
 def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
@@ -97,13 +114,40 @@ def table(rows: Mapping[str, Mapping[str, Any]]) -> str:
         cells += ["{:.3g} m/s, {:.3g} rad/s".format(*row["commands"]), row["proof"]]
         for column in COLUMNS:
             found = figures(row, column)
-            value, low, high = (f"{one:.2g}" if abs(one) < 100 else f"{one:.0f}" for one in found) if found else "–  "
+            value, low, high = map(_number, found) if found else "–  "
             spread = f" ({low}…{high})" if low != high else ""
             cells.append(f"{value}{column[2]}{spread}" if found else "–")
         lines.append(cells)
     text = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
     about = "".join(f"- **{r['policy']}**: {r['source']}, {r['licence']}; {r['trained']}.\n" for r in rows.values())
-    return f"![Figures of all policies](images/arena/dots.png)\n\n{text}\n{about}"
+    return f"![Figures of all policies](images/arena/dots.png)\n\n{both(rows)}\n{text}\n{about}"
+
+
+def _number(one: float) -> str:
+    return f"{one:.2g}" if abs(one) < 100 else f"{one:.0f}"
+
+
+def both(rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the table of the figures that PhysX confirms, by 10 % or 2 points of survival, and of the others."""
+    versions = sorted({f"{name} {version}" for row in rows.values() for name, version in row["versions"].items()})
+    shown = [row for row in rows.values() if row["physx"]]
+    columns = [column for column in COLUMNS if any(column[1] in row["physx"] for row in shown)]
+    lines = [["policy", "holds", *(column[0] for column in columns)], ["---"] * (len(columns) + 2)]
+    for row in shown:
+        cells = []
+        for column in columns:
+            ours, theirs = figures(row, column), figures(row, column, "physx")
+            if not (ours and theirs):
+                cells.append("–")
+                continue
+            limit = 2.0 if column[1].endswith("survival") else 0.1 * abs(ours[0])
+            differs = f"**{_number(ours[0])} → {_number(theirs[0])}{column[2]}**"
+            cells.append("✓" if abs(ours[0] - theirs[0]) <= limit + 1e-6 else differs)
+        known = len(cells) - cells.count("–")
+        lines.append([row["policy"], f"{cells.count('✓')} of {known}", *cells])
+    table = "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+    rule = "✓ marks figures that differ by at most 10 %, or by 2 points of survival"
+    return f"MuJoCo → PhysX, hollow in the plot ({', '.join(versions)}); {rule}:\n\n{table}"
 
 
 def _is_outside(row: Mapping[str, Any]) -> bool:
@@ -111,14 +155,18 @@ def _is_outside(row: Mapping[str, Any]) -> bool:
 
 
 def plot(rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """Draw one row of dots per property, further to the right is better; stock policies are squares."""
+    """Draw one row of dots per property, further to the right is better.
+
+    Stock policies are squares. Hollow dots are PhysX's.
+    """
     columns = [column for column in COLUMNS if column[0] in DOTS]
     figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for place, row in enumerate(rows.values()):
-        shown = [(figures(row, column) or [math.nan])[0] / DOTS[column[0]] for column in columns]
         heights = [index + 0.06 * (place - len(rows) / 2) for index in range(len(columns))]
         marker, colour = "o" if _is_outside(row) else "s", plt.get_cmap("tab20")(place)
-        axes.plot(shown, heights, marker, color=colour, markersize=6, label=row["policy"])
+        for of, look in (("figures", {"label": row["policy"]}), ("physx", {"markerfacecolor": "none"})):
+            shown = [(figures(row, column, of) or [math.nan])[0] / DOTS[column[0]] for column in columns]
+            axes.plot(shown, heights, marker, color=colour, markersize=6, **look)
     axes.set_yticks(range(len(columns)), [f"{c[0]}, up to {DOTS[c[0]]:g}{c[2]}" for c in columns])
     axes.invert_yaxis()
     axes.set_xlim(-0.03, 1.1)
@@ -133,7 +181,7 @@ def main(words: list[str]) -> None:
     rows: dict[str, Any] = json.loads(ROWS.read_text()) if ROWS.is_file() else {}
     for name, details in (json.loads(Path(words[0]).read_text()) if words else {}).items():
         run = RunDirectory(Path(details["run"]))
-        rows[name] = row_of(run, details)
+        rows[name] = row_of(run, details, rows.get(name, {}))
         picture(run, PICTURES / f"{name}.png")
     rows = dict(sorted(rows.items(), key=lambda item: not _is_outside(item[1])))
     write_text(ROWS, dump_json(rows) + "\n")

@@ -82,3 +82,26 @@ def test_what_physx_cannot_simulate_is_refused_by_its_key(tmp_path):
         links_of(rootless)
     with pytest.raises(ConfigError, match=r"env\.scene\.terrain.*a geom of the type sphere"):
         staged(tmp_path, '<geom name="ground" type="sphere" size="1"/>', 1)
+
+
+def test_joints_have_drives_and_none_leads_to_the_world(tmp_path):
+    usd, model = tmp_path / "robot.usda", mujoco.MjModel.from_xml_string(GROUND.format(""))
+    file = Usd.Stage.CreateNew(str(usd))
+    UsdGeom.SetStageUpAxis(file, "Z")
+    UsdGeom.SetStageMetersPerUnit(file, 1.0)
+    file.SetDefaultPrim(file.DefinePrim("/robot", "Xform"))
+    bodies = [file.DefinePrim(path, "Xform") for path in ("/robot/base", "/robot/base/leg", "/robot/base/imu")]
+    for body in bodies:
+        UsdPhysics.RigidBodyAPI.Apply(body)
+    UsdPhysics.ArticulationRootAPI.Apply(bodies[0])
+    kinds = {"world": UsdPhysics.FixedJoint, "hip": UsdPhysics.RevoluteJoint, "mount": UsdPhysics.FixedJoint}
+    for (name, kind), parent, child in zip(kinds.items(), ("/robot", *2 * ["/robot/base"]), bodies, strict=True):
+        joint = kind.Define(file, f"/robot/{name}")
+        joint.CreateBody0Rel().SetTargets([parent])
+        joint.CreateBody1Rel().SetTargets([child.GetPath()])
+    file.Save()
+    write_scene(tmp_path / "scene.usda", usd, *links_of(usd), model, 1, None)
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usda"))
+    robot = stage.GetPrimAtPath(f"{ROBOTS}/env_0").GetChildren()
+    schemas = {prim.GetName(): [*prim.GetAppliedSchemas()] for prim in robot if prim.IsA(UsdPhysics.Joint)}
+    assert schemas == {"hip": ["PhysicsDriveAPI:angular"], "mount": []}

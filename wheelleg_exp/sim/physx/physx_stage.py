@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -113,7 +113,7 @@ def write_scene(
 
     The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the USD file's.
     """
-    overs = _overs(links.values(), root, self_collisions, *_instances_and_shapes(usd))
+    overs = _overs(links.values(), root, self_collisions, _changes(usd))
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
     ground = [_ground_prim(model, geom) for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
     size = float(np.linalg.norm(model.opt.gravity))
@@ -127,53 +127,61 @@ def write_scene(
     path.write_text(text, encoding="utf-8")
 
 
-def _instances_and_shapes(usd: Path) -> tuple[set[str], set[str]]:
-    """Return the paths of a USD file's instances, and of shapes that are colliders because the prim above them is one.
+def _changes(usd: Path) -> dict[str, str]:
+    """Return the metadata that the scene changes, USD text by the path of a prim of a robot's USD file.
 
-    A collider above shapes that has the approximation of a mesh is one collider in PhysX as well.
+    Instances become ordinary prims, because PhysX ignores a collider in an instance that is a group of meshes. Shapes
+    below a collider become colliders, because PhysX ignores a collider without a shape of its own; a collider that has
+    the approximation of a mesh is one collider in PhysX as well. Joints get drives, without which PhysX ignores the
+    gains that it is sent, and joints to the world are removed, because only floating robots are simulated.
     """
     from pxr import Usd, UsdGeom, UsdPhysics
 
     def below(prim: Usd.Prim) -> Iterator[Usd.Prim]:
         return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
 
-    def paths(prims: Iterable[Usd.Prim]) -> set[str]:
-        return {str(prim.GetPath().MakeRelativePath(top.GetPath())) for prim in prims}
+    def is_to_world(joint: UsdPhysics.Joint) -> bool:
+        ends = [end.GetTargets() for end in (joint.GetBody0Rel(), joint.GetBody1Rel())]
+        above = [[stage.GetPrimAtPath(path) for path in end[0].GetPrefixes()] if end else [] for end in ends]
+        return not all(any(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims) for prims in above)
 
     stage = Usd.Stage.Open(str(usd))
     top = stage.GetDefaultPrim()
-    colliders = (prim for prim in below(top) if prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.IsA(UsdGeom.Gprim))
-    groups = (prim for prim in colliders if not prim.HasAPI(UsdPhysics.MeshCollisionAPI))
-    shapes = (prim for group in groups for prim in below(group) if prim.IsA(UsdGeom.Gprim))
-    return paths(prim for prim in below(top) if prim.IsInstance()), paths(shapes)
+    found: dict[Usd.Prim, str] = {}
+    for prim in below(top):
+        if prim.IsInstance():
+            found[prim] = "instanceable = false"
+        elif prim.IsA(UsdPhysics.Joint) and is_to_world(UsdPhysics.Joint(prim)):
+            found[prim] = "active = false"
+        elif prim.IsA(UsdPhysics.RevoluteJoint) or prim.IsA(UsdPhysics.PrismaticJoint):
+            axis = "angular" if prim.IsA(UsdPhysics.RevoluteJoint) else "linear"
+            found[prim] = f'prepend apiSchemas = ["PhysicsDriveAPI:{axis}"]'
+        is_group = prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.HasAPI(UsdPhysics.MeshCollisionAPI)
+        if is_group and not prim.IsA(UsdGeom.Gprim):
+            shapes = [shape for shape in below(prim) if shape.IsA(UsdGeom.Gprim)]
+            found |= dict.fromkeys(shapes, 'prepend apiSchemas = ["PhysicsCollisionAPI"]')
+    return {str(prim.GetPath().MakeRelativePath(top.GetPath())): text for prim, text in found.items()}
 
 
-def _overs(paths: Iterable[str], root: str, self_collisions: bool | None, instances: set[str], shapes: set[str]) -> str:
-    """Return USD text that makes all links report their contacts, and that sets self-collisions at the root.
-
-    ``instances`` become ordinary prims, because PhysX ignores a collider in an instance that is a group of meshes.
-    ``shapes`` become colliders, because PhysX ignores a collider without a shape of its own.
-    """
+def _overs(links: Collection[str], root: str, self_collisions: bool | None, changes: Mapping[str, str]) -> str:
+    """Return USD text that makes all links report their contacts, sets self-collisions at the root, and has changes."""
     children: dict[str, list[str]] = {}
-    for path in (*paths, *sorted(instances), *sorted(shapes)):
+    for path in (*links, *sorted(changes)):
         children.setdefault(path, [])
         for parent in (str(p) for p in Path(path).parents):
             if path not in children.setdefault(parent, []):
                 children[parent].append(path)
             path = parent
-    links = set(paths)
 
     def text(path: str) -> str:
         apis, values = [], []
         if path in links:
             apis, values = ["PhysxContactReportAPI"], ["float physxContactReport:threshold = 0"]
-        if path in shapes:
-            apis = ["PhysicsCollisionAPI"]
         if path == root and self_collisions is not None:
             apis.append("PhysxArticulationAPI")
             values.append(f"bool physxArticulation:enabledSelfCollisions = {int(self_collisions)}")
         facts = [f"prepend apiSchemas = {json.dumps(apis)}"] if apis else []
-        facts += ["instanceable = false"] if path in instances else []
+        facts += [changes[path]] if path in changes else []
         listed = f"({'; '.join(facts)})" if facts else ""
         inner = "\n".join([*values, *(text(child) for child in children[path])])
         return f'over "{Path(path).name}" {listed}\n{{\n{inner}\n}}'
