@@ -90,7 +90,9 @@ def test_joints_have_drives_and_none_leads_to_the_world(tmp_path):
     UsdGeom.SetStageUpAxis(file, "Z")
     UsdGeom.SetStageMetersPerUnit(file, 1.0)
     file.SetDefaultPrim(file.DefinePrim("/robot", "Xform"))
-    bodies = [file.DefinePrim(path, "Xform") for path in ("/robot/base", "/robot/base/leg", "/robot/base/imu")]
+    types = {"/robot/base": "Xform", "/robot/base/leg": "Xform", "/robot/base/imu": "Cube"}
+    bodies = [file.DefinePrim(path, kind) for path, kind in types.items()]
+    UsdPhysics.CollisionAPI.Apply(bodies[0])  # so the cube, a link itself, becomes a collider
     for body in bodies:
         UsdPhysics.RigidBodyAPI.Apply(body)
     UsdPhysics.ArticulationRootAPI.Apply(bodies[0])
@@ -105,3 +107,10 @@ def test_joints_have_drives_and_none_leads_to_the_world(tmp_path):
     robot = stage.GetPrimAtPath(f"{ROBOTS}/env_0").GetChildren()
     schemas = {prim.GetName(): [*prim.GetAppliedSchemas()] for prim in robot if prim.IsA(UsdPhysics.Joint)}
     assert schemas == {"hip": ["PhysicsDriveAPI:angular"], "mount": []}
+    found = stage.GetPrimAtPath(f"{ROBOTS}/env_0/base/imu").GetMetadata("apiSchemas").GetAddedOrExplicitItems()
+    assert {"PhysicsCollisionAPI", "PhysxContactReportAPI"} <= {*found}
+    bodies[0].RemoveAPI(UsdPhysics.ArticulationRootAPI)
+    UsdPhysics.ArticulationRootAPI.Apply(joint.GetPrim())
+    file.Save()
+    with pytest.raises(ConfigError, match="articulation root at the joint mount"):
+        links_of(usd)

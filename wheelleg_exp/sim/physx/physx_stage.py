@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -97,6 +98,9 @@ def links_of(usd: Path) -> tuple[str, dict[str, str]]:
     if len(roots) != 1 or roots[0] == ".":
         message = f"{usd.name} has its articulation roots at: {', '.join(roots) or '(nowhere)'}"
         raise ConfigError(message, key=_ASSET, expected="one root below the default prim, for the engine 'physx'")
+    if prims[roots[0]].IsA(UsdPhysics.Joint):
+        message = f"{usd.name} has its articulation root at the joint {roots[0]}"
+        raise ConfigError(message, key=_ASSET, expected="a root that is not a joint, for the engine 'physx'")
     return roots[0], bodies
 
 
@@ -113,7 +117,7 @@ def write_scene(
 
     The names have leading zeros, because PhysX sorts prims by name. ``self_collisions`` overrides the USD file's.
     """
-    overs = _overs(links.values(), root, self_collisions, _changes(usd))
+    overs = _overs(links.values(), root, self_collisions, *_changes(usd))
     names = [f"env_{i:0{len(str(num_envs - 1))}d}" for i in range(num_envs)]
     ground = [_ground_prim(model, geom) for geom in range(model.ngeom) if is_ground(model.geom(geom).name)]
     size = float(np.linalg.norm(model.opt.gravity))
@@ -127,8 +131,8 @@ def write_scene(
     path.write_text(text, encoding="utf-8")
 
 
-def _changes(usd: Path) -> dict[str, str]:
-    """Return the metadata that the scene changes, USD text by the path of a prim of a robot's USD file.
+def _changes(usd: Path) -> tuple[dict[str, set[str]], dict[str, str]]:
+    """Return the API schemas and the other metadata (USD text) that the scene adds to prims of a robot's USD file.
 
     Instances become ordinary prims, because PhysX ignores a collider in an instance that is a group of meshes. Shapes
     below a collider become colliders, because PhysX ignores a collider without a shape of its own; a collider that has
@@ -140,33 +144,43 @@ def _changes(usd: Path) -> dict[str, str]:
     def below(prim: Usd.Prim) -> Iterator[Usd.Prim]:
         return iter(Usd.PrimRange(prim, Usd.TraverseInstanceProxies()))
 
+    def path_of(prim: Usd.Prim) -> str:
+        return str(prim.GetPath().MakeRelativePath(top.GetPath()))
+
     def is_to_world(joint: UsdPhysics.Joint) -> bool:
         ends = [end.GetTargets() for end in (joint.GetBody0Rel(), joint.GetBody1Rel())]
         above = [[stage.GetPrimAtPath(path) for path in end[0].GetPrefixes()] if end else [] for end in ends]
-        return not all(any(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims) for prims in above)
+        return not all(any(prim and prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims) for prims in above)
 
     stage = Usd.Stage.Open(str(usd))
     top = stage.GetDefaultPrim()
-    found: dict[Usd.Prim, str] = {}
+    apis: defaultdict[str, set[str]] = defaultdict(set)
+    facts: dict[str, str] = {}
     for prim in below(top):
         if prim.IsInstance():
-            found[prim] = "instanceable = false"
+            facts[path_of(prim)] = "instanceable = false"
         elif prim.IsA(UsdPhysics.Joint) and is_to_world(UsdPhysics.Joint(prim)):
-            found[prim] = "active = false"
+            facts[path_of(prim)] = "active = false"
         elif prim.IsA(UsdPhysics.RevoluteJoint) or prim.IsA(UsdPhysics.PrismaticJoint):
-            axis = "angular" if prim.IsA(UsdPhysics.RevoluteJoint) else "linear"
-            found[prim] = f'prepend apiSchemas = ["PhysicsDriveAPI:{axis}"]'
+            apis[path_of(prim)].add(f"PhysicsDriveAPI:{'angular' if prim.IsA(UsdPhysics.RevoluteJoint) else 'linear'}")
         is_group = prim.HasAPI(UsdPhysics.CollisionAPI) and not prim.HasAPI(UsdPhysics.MeshCollisionAPI)
         if is_group and not prim.IsA(UsdGeom.Gprim):
-            shapes = [shape for shape in below(prim) if shape.IsA(UsdGeom.Gprim)]
-            found |= dict.fromkeys(shapes, 'prepend apiSchemas = ["PhysicsCollisionAPI"]')
-    return {str(prim.GetPath().MakeRelativePath(top.GetPath())): text for prim, text in found.items()}
+            for shape in below(prim):
+                if shape.IsA(UsdGeom.Gprim):
+                    apis[path_of(shape)].add("PhysicsCollisionAPI")
+    return dict(apis), facts
 
 
-def _overs(links: Collection[str], root: str, self_collisions: bool | None, changes: Mapping[str, str]) -> str:
+def _overs(
+    links: Collection[str],
+    root: str,
+    self_collisions: bool | None,
+    changed_apis: Mapping[str, Collection[str]],
+    changed_facts: Mapping[str, str],
+) -> str:
     """Return USD text that makes all links report their contacts, sets self-collisions at the root, and has changes."""
     children: dict[str, list[str]] = {}
-    for path in (*links, *sorted(changes)):
+    for path in (*links, *sorted({*changed_apis, *changed_facts})):
         children.setdefault(path, [])
         for parent in (str(p) for p in Path(path).parents):
             if path not in children.setdefault(parent, []):
@@ -174,14 +188,14 @@ def _overs(links: Collection[str], root: str, self_collisions: bool | None, chan
             path = parent
 
     def text(path: str) -> str:
-        apis, values = [], []
+        apis, values = sorted(changed_apis.get(path, ())), []
         if path in links:
-            apis, values = ["PhysxContactReportAPI"], ["float physxContactReport:threshold = 0"]
+            apis, values = [*apis, "PhysxContactReportAPI"], ["float physxContactReport:threshold = 0"]
         if path == root and self_collisions is not None:
             apis.append("PhysxArticulationAPI")
             values.append(f"bool physxArticulation:enabledSelfCollisions = {int(self_collisions)}")
         facts = [f"prepend apiSchemas = {json.dumps(apis)}"] if apis else []
-        facts += [changes[path]] if path in changes else []
+        facts += [changed_facts[path]] if path in changed_facts else []
         listed = f"({'; '.join(facts)})" if facts else ""
         inner = "\n".join([*values, *(text(child) for child in children[path])])
         return f'over "{Path(path).name}" {listed}\n{{\n{inner}\n}}'
