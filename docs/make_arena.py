@@ -88,9 +88,13 @@ def row_of(run: RunDirectory, details: Mapping[str, Any], old: Mapping[str, Any]
         "mass": about["mass_kg"],
         "size": robot.get("size") or details.get("size"),  # old run directories lack it
         "commands": [max(map(abs, ranges[axis])) for axis in ("lin_vel_x", "ang_vel_z")],
-        "versions": {"MuJoCo": about["mujoco"], **({"ovphysx": engine["promise"]["version"]} if second else {})},
+        "versions": {
+            **old.get("versions", {}),
+            "MuJoCo": about["mujoco"],
+            **({"ovphysx": engine["promise"]["version"]} if second else {}),
+        },
         "figures": {**old.get("figures", {}), **found},
-        "physx": {**old.get("physx", {}), **second},
+        "physx": second or old.get("physx", {}),
     }
 
 
@@ -132,7 +136,7 @@ def both(rows: Mapping[str, Mapping[str, Any]]) -> str:
     versions = sorted({f"{name} {version}" for row in rows.values() for name, version in row["versions"].items()})
     shown = [row for row in rows.values() if row["physx"]]
     columns = [column for column in COLUMNS if any(column[1] in row["physx"] for row in shown)]
-    lines = [["policy", "holds", *(column[0] for column in columns)], ["---"] * (len(columns) + 2)]
+    lines = [["policy", "agree", *(column[0] for column in columns)], ["---"] * (len(columns) + 2)]
     for row in shown:
         cells = []
         for column in columns:
@@ -167,6 +171,7 @@ def plot(rows: Mapping[str, Mapping[str, Any]]) -> None:
         for of, look in (("figures", {"label": row["policy"]}), ("physx", {"markerfacecolor": "none"})):
             shown = [(figures(row, column, of) or [math.nan])[0] / DOTS[column[0]] for column in columns]
             axes.plot(shown, heights, marker, color=colour, markersize=6, **look)
+    axes.plot([], [], "o", color="grey", markersize=6, markerfacecolor="none", label="hollow: PhysX")
     axes.set_yticks(range(len(columns)), [f"{c[0]}, up to {DOTS[c[0]]:g}{c[2]}" for c in columns])
     axes.invert_yaxis()
     axes.set_xlim(-0.03, 1.1)
