@@ -14,6 +14,7 @@ from sim.terrain.tiles import placed
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
 from wheelleg_exp.asset.convert_robot import read
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab.envs import mdp
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
 from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
@@ -23,14 +24,19 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 LAB_3 = """
 import warp as wp
+from isaaclab.envs import mdp
 from isaaclab_tasks.core.velocity.mdp import feet_slide
+
+
+def pva_orientation(env):
+    return env.buffer.default_root_pose
 
 
 def effort(env, ids):
     robot = env.scene["robot"]
     robot.set_joint_position_target_index(target=wp.to_torch(robot.data.joint_pos))
     robot.actuators.target_command.set_velocity_index(value=robot.actuators.target_command.velocity.torch)
-    lean = mdp.pva_projected_gravity(env) + robot.data.default_root_pose.torch[ids, :3]
+    lean = mdp.pva_projected_gravity(env) + robot.data.default_root_pose.torch[ids, :3] + pva_orientation(env)
     slide = feet_slide(env) + env.scene.sensors["feet"].data.net_normal_forces_w_history.torch[:, 0]
     return robot.actuators.applied_effort.torch[:, ids].sum(1) + slide
 """
@@ -339,5 +345,8 @@ def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
     assert "env.scene.sensors['feet'].data.net_forces_w_history[:, 0]" in text
     assert "robot.set_joint_position_target(target=robot.data.joint_pos)" in text
     assert "robot.set_joint_velocity_target(target=robot.data.joint_vel_target)" in text
-    assert "lean = mdp.imu_projected_gravity(env) + robot.data.default_root_state[:, :7][ids, :3]" in text
+    assert "mdp.pva_projected_gravity(env) + robot.data.default_root_state[:, :7][ids, :3] + pva_orientation(env)" in text
+    assert "def pva_orientation(env):\n    return env.buffer.default_root_pose" in text
+    assert "from wheelleg_exp.isaaclab.envs import mdp" in text
+    assert mdp.pva_projected_gravity is mdp.imu_projected_gravity
     assert "from wheelleg_exp.isaaclab_tasks.core.velocity.mdp import feet_slide" in text
