@@ -66,7 +66,7 @@ def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str
 
 def test_each_tile_comes_back() -> None:
     tiles: dict[str, dict[str, Any]] = {
-        function: {"function": f"isaaclab.terrains:{function}", "proportion": 0.1} for function in TILES
+        function: {"function": f"mesh_terrains:{function}", "proportion": 0.1} for function in TILES
     }
     tiles["pyramid_sloped_terrain"] |= {"slope_range": [0.1, 0.4], "inverted": True, "platform_width": 1.0}
     tiles["pit_terrain"] |= {"pit_depth_range": [0.1, 0.2], "double_pit": True}

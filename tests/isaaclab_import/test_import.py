@@ -318,6 +318,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "other joints": (_edit("actions.legs.joint_names", ["FL_hip"]), "FL_hip"),
     "no command": (_edit("commands.base_velocity", None), "no command 'base_velocity'"),
     "own observation": (_edit("observations.policy.x", SECRET), "observations.policy.x"),
+    "own clip": (_edit("observations.policy.x", {"func": "lab.mdp:clip", "params": {}}), "observations.policy.x"),
     "hostile target": (_edit("rewards.x", SYSTEM), ""),
     "hostile parameter": (_edit("rewards.track.params.std", {"_target_": "os.system", "command": "x"}), "std"),
     "hostile tag": (_replace("params/env.yaml", ENV.replace("seed: 42", TAG)), "seed"),
