@@ -285,6 +285,7 @@ def test_objects_behind_sensors_and_markers_are_reported() -> None:
         ("/World/envs/.*/Robot/base_link", True),
         ("{ENV_REGEX_NS}/Robot.*/base_link", True),
         ("{ENV_REGEX_NS}/[Rr]obot/base_link", True),
+        ("/World/groundPlane", True),
         ("{ENV_REGEX_NS}/Robot_2/base_link", False),
         ("/World/envs/env_.*", False),
     ],

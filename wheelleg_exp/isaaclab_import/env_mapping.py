@@ -70,7 +70,7 @@ _BY_LAST_NAME = {
     *("Articulation", "TerrainImporter", "ContactSensor", "RayCaster", "Imu", "Pva"),
     *(*TILES, *PATTERNS, *NOISES, *MODIFIERS),
 }
-# Places where the last part decides. Elsewhere, an author's term can have such a name.
+# Keys of these classes and functions. Terms are recognised by their whole path, so an author's can have such a name.
 _OF_LAST_NAME = re.compile(
     r"scene\.[^.]+|scene\..*\.(sub_terrains\.[^.]+|pattern_cfg)|([^.]+\.){3,}(noise|noise_cfg|bias_noise_cfg|modifiers)"
 )
@@ -93,8 +93,8 @@ _BY_JOINT = (
 _TILE_RULES = {
     "Gap": "the gap is 1 m deep; in Isaac Lab, it has no bottom",
     "PyramidSlope": "faces have one slope; in Isaac Lab, the slope decreases from the middle of a face to its corners",
-    "Rails": "edges are rounded to horizontal_scale; in Isaac Lab, the outer rail has the shape of the tile",
-    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, the bound of the drawn heights",
+    "Rails": "edges are rounded to horizontal_scale, and the outer rail is always a square; in Isaac Lab, neither",
+    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, the largest possible height",
     "SteppingStones": "stones and holes have the given widths; in Isaac Lab, these are rounded to horizontal_scale",
 }
 _CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
@@ -515,7 +515,8 @@ class EnvMapping:
         place, robot = map(_PARTS.split, paths)
         pairs = zip(place, robot, strict=False)
         is_robot = all(a == b or _matching([a], [b]) or _matching([b], [a]) for a, b in pairs)
-        return not prim_path or place[1:3] == ["World", "ground"] or (is_robot and len(place) >= len(robot))
+        is_ground = str(prim_path).startswith("/World/ground")
+        return not prim_path or is_ground or (is_robot and len(place) >= len(robot))
 
     def _bodies(self, prim_path: object) -> list[str]:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
