@@ -14,6 +14,7 @@ from sim.terrain.tiles import placed
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, changed, write_terms
 from wheelleg_exp.asset.convert_robot import read
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab.envs import mdp
 from wheelleg_exp.isaaclab_import.agent_mapping import convert_agent
 from wheelleg_exp.isaaclab_import.author_terms import AuthorTerms
 from wheelleg_exp.isaaclab_import.env_mapping import EnvMapping
@@ -23,14 +24,19 @@ from wheelleg_exp.terms.term_binding import resolve_target
 
 LAB_3 = """
 import warp as wp
+from isaaclab.envs import mdp
 from isaaclab_tasks.core.velocity.mdp import feet_slide
+
+
+def pva_orientation(env):
+    return env.buffer.default_root_pose
 
 
 def effort(env, ids):
     robot = env.scene["robot"]
     robot.set_joint_position_target_index(target=wp.to_torch(robot.data.joint_pos))
     robot.actuators.target_command.set_velocity_index(value=robot.actuators.target_command.velocity.torch)
-    lean = mdp.pva_projected_gravity(env) + robot.data.default_root_pose.torch[ids, :3]
+    lean = mdp.pva_projected_gravity(env) + robot.data.default_root_pose.torch[ids, :3] + pva_orientation(env)
     slide = feet_slide(env) + env.scene.sensors["feet"].data.net_normal_forces_w_history.torch[:, 0]
     return robot.actuators.applied_effort.torch[:, ids].sum(1) + slide
 """
@@ -156,7 +162,7 @@ def test_what_isaac_lab_3_writes_differently() -> None:
     assert found["actuators"]["rated"]["effort_limit"] == 6.0
     assert [env["scene"]["sensors"][n]["gravity_bias"] for n in ("imu", "pva")] == [[0, 0, 9.81], [0, 0, 0]]
     terms = env["observations"]["policy"]["terms"]
-    assert (terms["gravity"]["delay"], "turn" in terms, mapping.lost) == ([4, 8], False, ["policy"])
+    assert (terms["gravity"]["delay"], "turn" in terms, list(mapping.lost)) == ([4, 8], False, ["policy"])
     assert terms["tilt"]["_target_"].endswith("observations.imu_projected_gravity")
     assert env["rewards"]["air_time"]["_target_"].endswith(".feet_air_time")
     rows = {row.key: row.text for row in report.of(DROPPED)}
@@ -196,7 +202,7 @@ def test_terrain_tiles() -> None:
     assert [row.key.rsplit(".", 1)[-1] for row in report.of(DROPPED) if "star" in row.key] == ["star"]
 
 
-@pytest.mark.parametrize(("width", "border", "shift"), [(3.0, 1.0, 0), (2.2, 0.4, 0), (3.0, 0.0, 1)])
+@pytest.mark.parametrize(("width", "border", "shift"), [(3.0, 1.0, 0), (2.2, 0.4, 0), (3.0, 0.2, 1), (3.0, 0.0, 1)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stairs_are_as_high_as_isaac_labs(sign: int, width: float, border: float, shift: int) -> None:
     function = f"{'inverted_' if sign < 0 else ''}pyramid_stairs_terrain"
@@ -216,6 +222,19 @@ def test_stairs_are_as_high_as_isaac_labs(sign: int, width: float, border: float
     assert ["same heights" in row.text for row in report.of(RULE) if "PyramidStairs" in row.text] == [shift == 0]
 
 
+def test_notes_on_stairs() -> None:
+    tile = {"step_height_range": [0.1, 0.2], "step_width": 0.3, "platform_width": 3.0, "border_width": 1.0}
+    tile |= {"function": "isaaclab.terrains.trimesh.mesh_terrains:pyramid_stairs_terrain"}
+    high = {"function": "isaaclab.terrains.height_field.hf_terrains:pyramid_stairs_terrain", "inverted": True}
+    tiles = {"fine": tile | {"step_width": 0.25}, "full": tile | {"platform_width": 0.0}, "high": tile | high}
+    mapping, _, report = converted(with_terrain({"size": [8.0, 8.0], "sub_terrains": tiles}), AGENT)
+    rows = {row.key.rsplit(".", 1)[-1]: row for row in report.rows if "sub_terrains." in row.key}
+    notes = ["edges are rounded" in rows["fine"].text, "the middle is at least a step lower" in rows["full"].text]
+    assert (notes, rows["high"].outcome) == ([True, True], NAME)
+    made = mapping.env["scene"]["terrain"]["sub_terrains"]["high"]
+    assert [made[key] for key in ("platform_width", "border_width", "inverted")] == [3.0, 1.0, True]
+
+
 def test_names_outside_isaac_lab_are_assumed() -> None:
     tiles = {"box": {"function": "my_lab.tiles:box_terrain", "box_height_range": [0.1, 0.2], "platform_width": 1.0}}
     text = with_terrain({"size": [8.0, 8.0], "sub_terrains": tiles})
@@ -229,6 +248,14 @@ def test_names_outside_isaac_lab_are_assumed() -> None:
     assert "observations.policy.base_ang_vel.noise" in rows
     assert "Sines, then cosines" in rows["observations.policy.phase"]
     assert not [row for row in report.rows if row.key in rows and row.outcome == NAME]
+
+
+def test_an_authors_term_with_a_name_of_isaac_lab_needs_code() -> None:
+    own = {"func": "my_lab.mdp:clip", "params": {}}
+    text = changed(changed(ENV, "observations.policy.flag", 5), "observations.policy.own", own)
+    mapping, _, report = converted(changed(text, "rewards.own_clip", own | {"weight": 1.0}), AGENT)
+    assert (mapping.lost["policy"].key, mapping.lost["policy"].outcome) == ("observations.policy.own", CODE)
+    assert [row.outcome for row in report.rows if row.text.startswith("my_lab.mdp:clip")] == [CODE, CODE]
 
 
 def test_objects_behind_sensors_and_markers_are_reported() -> None:
@@ -249,6 +276,23 @@ def test_objects_behind_sensors_and_markers_are_reported() -> None:
     markers = [row.key for row in report.of(NOT_NEEDED) if row.text.startswith("markers")]
     places = ["scene.arrows", "rewards.own.params.marker_cfg", "commands.base_velocity.goal_vel_visualizer_cfg"]
     assert sorted(markers) == sorted(places)
+
+
+@pytest.mark.parametrize(
+    ("path", "found"),
+    [
+        ("{ENV_REGEX_NS}/.*/base_link", True),
+        ("/World/envs/.*/Robot/base_link", True),
+        ("{ENV_REGEX_NS}/Robot.*/base_link", True),
+        ("{ENV_REGEX_NS}/[Rr]obot/base_link", True),
+        ("/World/groundPlane", True),
+        ("{ENV_REGEX_NS}/Robot_2/base_link", False),
+        ("/World/envs/env_.*", False),
+    ],
+)
+def test_a_sensor_whose_path_matches_the_robot_exists(path: str, found: bool) -> None:
+    mapping, _, _ = converted(changed(ENV, "scene.contact_forces.prim_path", path), AGENT)
+    assert ("contact_forces" in mapping.env["scene"]["sensors"]) is found
 
 
 def test_limits_of_explicit_actuators_are_also_those_of_the_engine() -> None:
@@ -339,5 +383,8 @@ def test_author_terms_of_isaac_lab_3(tmp_path: Path) -> None:
     assert "env.scene.sensors['feet'].data.net_forces_w_history[:, 0]" in text
     assert "robot.set_joint_position_target(target=robot.data.joint_pos)" in text
     assert "robot.set_joint_velocity_target(target=robot.data.joint_vel_target)" in text
-    assert "lean = mdp.imu_projected_gravity(env) + robot.data.default_root_state[:, :7][ids, :3]" in text
+    assert "mdp.pva_projected_gravity(env) + robot.data.default_root_state[:, :7][ids, :3] + pva_or" in text
+    assert "def pva_orientation(env):\n    return env.buffer.default_root_pose" in text
+    assert "from wheelleg_exp.isaaclab.envs import mdp" in text
+    assert mdp.pva_projected_gravity is mdp.imu_projected_gravity
     assert "from wheelleg_exp.isaaclab_tasks.core.velocity.mdp import feet_slide" in text

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 import yaml
+from sim.terrain.tiles import placed
 
 from tests.isaaclab_import.runs import AGENT, ENV, ROBOT, write_run, write_terms
 from tests.isaaclab_import.test_env_mapping import converted, numbers, with_terrain
@@ -19,6 +20,7 @@ from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.jobs.export.isaaclab_run import OWN_TERMS, RENAMED, TASK_TERMS, TILES, IsaacLabEnv
 from wheelleg_exp.plain_data import tagged_yaml_value
 from wheelleg_exp.sim.options import read_env
+from wheelleg_exp.sim.terrain import PyramidStairs
 from wheelleg_exp.terms.config_sections import plain_section
 
 NAMES = yaml.safe_load(Path("docs/tables/isaaclab_names.yaml").read_text())["names"]
@@ -66,7 +68,7 @@ def test_terms_without_a_counterpart_are_named(capsys: pytest.CaptureFixture[str
 
 def test_each_tile_comes_back() -> None:
     tiles: dict[str, dict[str, Any]] = {
-        function: {"function": f"isaaclab.terrains:{function}", "proportion": 0.1} for function in TILES
+        function: {"function": f"mesh_terrains:{function}", "proportion": 0.1} for function in TILES
     }
     tiles["pyramid_sloped_terrain"] |= {"slope_range": [0.1, 0.4], "inverted": True, "platform_width": 1.0}
     tiles["pit_terrain"] |= {"pit_depth_range": [0.1, 0.2], "double_pit": True}
@@ -85,6 +87,24 @@ def test_each_tile_comes_back() -> None:
         assert {key: value for key, value in found[name].items() if key != "slope_range"} == expected
     assert found["pyramid_sloped_terrain"]["slope_range"] == pytest.approx([0.1, 0.4])
     assert found["pyramid_sloped_terrain"]["inverted"] is True
+
+
+@pytest.mark.parametrize(("platform", "width"), [(0.0, 0.3), (0.1, 0.3), (0.0, 0.4), (3.0, 0.3)])
+def test_exported_stairs_have_the_same_top(platform: float, width: float) -> None:
+    settings = {"step_height_range": [0.1, 0.1], "step_width": width, "platform_width": platform}
+    ground = placed({"stairs": PyramidStairs(proportion=1.0, **settings)}, size=[8.0, 8.0], num_rows=1, num_cols=1)
+    x = torch.arange(0.05, 8.0, 0.1) - 4
+    top = ground.height_at(torch.stack([x, torch.zeros_like(x) + 0.05], dim=-1)).max()
+    env = converted(ENV, AGENT)[0]
+    tiles = {"stairs": {"_target_": "wheelleg_exp.sim.terrain.PyramidStairs", "border_width": 0.0, **settings}}
+    terrain = {"_target_": "wheelleg_exp.sim.terrain.TerrainGenerator", "size": [8.0, 8.0], "sub_terrains": tiles}
+    scene = {**env.env["scene"], "terrain": {**env.env["scene"]["terrain"], **terrain}}
+    made = IsaacLabEnv({**env.env, "scene": scene, "robot": {**env.robot, "asset": "robot.usd"}}, 0)
+    tile = made.tree["scene"]["terrain"]["terrain_generator"]["sub_terrains"]["stairs"]
+    inner = 8 - 2 * tile["border_width"]
+    rings = (inner - tile["platform_width"]) // (2 * width) + 1  # of Isaac Lab, which raises the middle by one more
+    assert (rings + 1) * 0.1 == pytest.approx(float(top), abs=1e-4)
+    assert min(tile["platform_width"], inner - 2 * rings * width) > 0
 
 
 def test_an_exported_run_is_imported_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

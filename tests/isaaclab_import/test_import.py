@@ -21,7 +21,6 @@ from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import WheellegError
 from wheelleg_exp.isaaclab_import.import_report import CODE
 from wheelleg_exp.isaaclab_import.make_project import import_run
-from wheelleg_exp.jobs.evaluate_policy import noisy_groups
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.run.run_directory import RunDirectory
 
@@ -55,10 +54,6 @@ def test_an_imported_run_plays_and_trains_further(
     words = ["play", str(run.path), "env.episode_length_s=0.4", "env.num_envs=2"]
     assert main(words) == 0
     assert "no pushes, random forces, or observation noise" in capsys.readouterr().err
-    assert main([*words, "play.conditions=training"]) == 0
-    assert "play.conditions=undisturbed" in capsys.readouterr().err
-    groups = [noisy_groups(run, words) for words in ([], ["env.observations.policy.enable_corruption=false"])]
-    assert groups == [["policy"], []]
     assert main(["resume", str(run.path), "agent.max_iterations=2"]) == 0
     assert main(["check", "task=flip0"]) == 0
     text = (project / "README.md").read_text()
@@ -318,6 +313,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "other joints": (_edit("actions.legs.joint_names", ["FL_hip"]), "FL_hip"),
     "no command": (_edit("commands.base_velocity", None), "no command 'base_velocity'"),
     "own observation": (_edit("observations.policy.x", SECRET), "observations.policy.x"),
+    "own clip": (_edit("observations.policy.x", {"func": "lab.mdp:clip", "params": {}}), "observations.policy.x"),
     "hostile target": (_edit("rewards.x", SYSTEM), ""),
     "hostile parameter": (_edit("rewards.track.params.std", {"_target_": "os.system", "command": "x"}), "std"),
     "hostile tag": (_replace("params/env.yaml", ENV.replace("seed: 42", TAG)), "seed"),

@@ -16,7 +16,12 @@ SHORT = ("protocol.stand.episodes=3", "protocol.stand.horizon_s=1.5", "protocol.
 
 
 def test_an_evaluation_is_stored_recorded_and_verified(run):
-    said = json.loads(succeed("evaluate", run.path, *SHORT, "--json").out)
+    noise = "{_target_:wheelleg_exp.mdp.noise.UniformNoise,n_min:0.0,n_max:0.0}"
+    policy = "env.observations.policy"
+    noisy = [f"{policy}.enable_corruption=true", f"+{policy}.terms.projected_gravity.noise={noise}"]
+    printed = succeed("evaluate", run.path, *SHORT, *noisy, "--json")
+    assert f"note: the policy observes the noise of its training ({policy}.enable_corruption=false" in printed.err
+    said = json.loads(printed.out)
     (folder,) = run.evaluation.iterdir()
     stored = json.loads((folder / "evaluation.json").read_text())
     with (folder / "episodes.csv").open() as file:

@@ -86,13 +86,9 @@ class Evaluator:
 def run(args: argparse.Namespace) -> int:
     """Evaluate one or several policies, print and store their metrics, and compare the policies with each other."""
     from wheelleg_exp.cli.printing.progress_display import ConsoleDisplay
-    from wheelleg_exp.jobs.evaluate_policy import noisy_groups
 
     policies, others, overrides, engines = _request(args)
     reference = None
-    for name in noisy_groups(policies[0][0], overrides, args.config_dirs):
-        override = f"env.observations.{name}.enable_corruption=false"
-        print(f"note: the policy observes the noise of its training ({override} switches it off)", file=sys.stderr)
     with ConsoleDisplay(quiet=True) as display:
         evaluator = Evaluator(args.command, args.config_dirs, args.stored, display.test)
         groups = [(policies, overrides), (others, overrides)]
@@ -101,6 +97,9 @@ def run(args: argparse.Namespace) -> int:
         if args.reference or REFERENCE in args.against:
             reference = evaluator.reference(made[0], overrides)
             against = [reference] if REFERENCE in args.against else against
+    for name in dict.fromkeys(name for one in (*made, *against) for name in one.noisy):
+        override = f"env.observations.{name}.enable_corruption=false"
+        print(f"note: the policy observes the noise of its training ({override} switches it off)", file=sys.stderr)
     if len(made) > 1 or against or reference is not None:
         return _compare(made, against, reference, args.command, engines, json=args.json, only=args.metric)
     (one,) = made

@@ -19,8 +19,6 @@ _LIBRARIES = ("torch", "numpy", "math", "typing", "collections", "dataclasses", 
 _FORCES = ("net_{}forces_w", "net_{}forces_w_history", "{}force_matrix_w", "{}force_matrix_w_history")
 _ATTRIBUTES_OF_3 = {name.format("normal_"): name.format("") for name in _FORCES}
 _ATTRIBUTES_OF_3["friction_force_matrix_w"] = "friction_forces_w"
-_NAMES_OF_3 = {f"Pva{end}": f"Imu{end}" for end in ("", "Cfg", "Data")}
-_NAMES_OF_3 |= {f"pva_{name}": f"imu_{name}" for name in ("orientation", "projected_gravity")}
 # Attributes of ``actuators.target_command``, whose names ``joint_pos_target`` and so on are those of 2.3.2.
 _COMMANDS_OF_3 = {"position": "pos", "velocity": "vel", "effort": "effort"}
 _SETTER_OF_3 = re.compile(r"(.*)\.actuators\.target_command\.set_(position|velocity|effort)_index")
@@ -186,22 +184,13 @@ def _adapted(tree: ast.Module) -> ast.Module:
 class _OfVersion3(ast.NodeTransformer):
     """Replace what only Isaac Lab 3.0 has by what 2.3.2 has: ``x.torch`` and ``wp.to_torch(x)`` become ``x``."""
 
-    def visit_Name(self, node: ast.Name) -> ast.AST:
-        node.id = _NAMES_OF_3.get(node.id, node.id)
-        return node
-
-    def visit_alias(self, node: ast.alias) -> ast.AST:
-        node.name = _NAMES_OF_3.get(node.name, node.name)
-        return node
-
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         self.generic_visit(node)
-        changed = _ATTRIBUTES_OF_3.get(node.attr, re.sub(r"(_to_sim|_target)_index$", r"\1", node.attr))
-        node.attr = _NAMES_OF_3.get(node.attr, changed)
+        node.attr = _ATTRIBUTES_OF_3.get(node.attr, re.sub(r"(_to_sim|_target)_index$", r"\1", node.attr))
         owner = ast.unparse(node.value).removesuffix(".actuators.target_command")
         if owner != ast.unparse(node.value) and node.attr in _COMMANDS_OF_3:
             return ast.parse(f"{owner}.data.joint_{_COMMANDS_OF_3[node.attr]}_target", mode="eval").body
-        if node.attr in ("default_root_pose", "default_root_vel"):
+        if node.attr in ("default_root_pose", "default_root_vel") and owner.split(".")[-1] == "data":
             part = ":7" if node.attr == "default_root_pose" else "7:"
             return ast.parse(f"{ast.unparse(node.value)}.default_root_state[:, {part}]", mode="eval").body
         if isinstance(node.value, ast.Attribute) and node.value.attr == "actuators" and node.attr.endswith("_effort"):

@@ -134,7 +134,8 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     report.add("joint_ids_map", ASSUMED, text)
     step = (_STEP, round(config["step_dt"] / _STEP))
     report.add("sim.dt", ASSUMED, f"{_STEP} s, Isaac Lab's step for locomotion; {step[1]} steps per control step")
-    gains = {name: _picked(config[name], order, "joint_ids_map", where) for name in ("stiffness", "damping")}
+    _picked(range(max(order) + 1), order, "joint_ids_map", where)
+    gains = {name: _picked(config[name], order, name, where) for name in ("stiffness", "damping")}
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")
     if velocity is None:

@@ -11,11 +11,13 @@ from wheelleg_exp.asset.robot_description import Dof
 from wheelleg_exp.errors import ConfigError, nearest_name
 from wheelleg_exp.isaaclab_import.import_report import (
     ASSUMED,
+    CODE,
     DROPPED,
     NAME,
     NOT_NEEDED,
     RULE,
     ImportReport,
+    Row,
     Section,
     shown,
 )
@@ -68,8 +70,13 @@ _BY_LAST_NAME = {
     *("Articulation", "TerrainImporter", "ContactSensor", "RayCaster", "Imu", "Pva"),
     *(*TILES, *PATTERNS, *NOISES, *MODIFIERS),
 }
+# Keys of these classes and functions. Terms are recognised by their whole path, so an author's can have such a name.
+_OF_LAST_NAME = re.compile(
+    r"scene\.[^.]+|scene\..*\.(sub_terrains\.[^.]+|pattern_cfg)|([^.]+\.){3,}(noise|noise_cfg|bias_noise_cfg|modifiers)"
+)
 _MARKERS = re.compile(".*visualizer_cfg")
-_IN_ENV = re.compile(r"\{ENV_REGEX_NS\}|/World/envs/env_[^/]*")
+_ENVS = "/World/envs/env_.*"
+_PARTS = re.compile(r"/(?![^\[]*\])")  # a set such as [^/] can contain the separator
 _ONLY = "the scene contains only the robot, the ground, and the robot's sensors"
 # PhysX combines two materials with the mode of higher priority.
 _COMBINE = ("average", "min", "multiply", "max")
@@ -86,8 +93,8 @@ _BY_JOINT = (
 _TILE_RULES = {
     "Gap": "the gap is 1 m deep; in Isaac Lab, it has no bottom",
     "PyramidSlope": "faces have one slope; in Isaac Lab, the slope decreases from the middle of a face to its corners",
-    "Rails": "edges are rounded to horizontal_scale, and the outer rail is a square; in Isaac Lab, neither",
-    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, that of the highest square",
+    "Rails": "edges are rounded to horizontal_scale, and the outer rail is always a square; in Isaac Lab, neither",
+    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, the largest possible height",
     "SteppingStones": "stones and holes have the given widths; in Isaac Lab, these are rounded to horizontal_scale",
 }
 _CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
@@ -100,7 +107,7 @@ class EnvMapping:
     ``dofs`` and ``links`` are those of the robot file, to which ``names`` maps the run's names; ``directory`` is the
     folder of networks in the asset folder. ``user_target`` returns the target of a function of the author, such as
     ``my_robot.rewards.energy``, or None if its code is unknown. ``convert`` sets ``robot``, ``env``, ``lost``, the
-    names of observation groups that lack a term, and ``networks``, the file names of actuator networks.
+    report's rows of missing terms by observation group, and ``networks``, the file names of actuator networks.
     """
 
     def __init__(
@@ -116,14 +123,14 @@ class EnvMapping:
         self._directory = directory
         self._names = _Names(names or {}, dofs, links)
         self._dofs, self._user_target, self._report = dofs, user_target, report
-        self._foreign: dict[str, str] = {}
+        self._foreign: dict[str, list[str]] = {}
         self._root = Section(self._prepared(self._names.applied(tree)), "", report)
         self._robot_name = "robot"
         self._xyzw = is_version_3(tree)  # Isaac Lab 3.0 has quaternions (x, y, z, w).
         self.robot: Tree = {}
         self.env: Tree = {}
         self.seed: int | None = None
-        self.lost: list[str] = []
+        self.lost: dict[str, Row] = {}
         self.networks: list[str] = []
 
     def convert(self) -> None:
@@ -154,8 +161,11 @@ class EnvMapping:
         for reason, names in _ROOT_DROPPED.items():
             root.drop(names, reason, NOT_NEEDED)
         root.finish()
-        for key, source in self._foreign.items():
-            self._report.replace(key, ASSUMED, f"{source} is treated as Isaac Lab's {last_name(source)}")
+        absent = tuple(f"{row.key}." for row in self._report.rows if row.outcome in (CODE, DROPPED))
+        for key, sources in self._foreign.items():
+            if not f"{key}.".startswith(absent):
+                text = ", ".join(f"{source} is treated as Isaac Lab's {last_name(source)}" for source in sources)
+                self._report.replace(key, ASSUMED, text)
         self._names.require_used()
 
     def _prepared(self, value: object, key: str = "") -> object:
@@ -165,8 +175,8 @@ class EnvMapping:
         if not isinstance(value, Mapping):
             return value
         source = str(value.get("class_type") or value.get("func") or value.get("function"))
-        if last_name(source) in _BY_LAST_NAME and not _ISAAC_LAB.match(source):
-            self._foreign[key] = source
+        if last_name(source) in _BY_LAST_NAME and _OF_LAST_NAME.fullmatch(key) and not _ISAAC_LAB.match(source):
+            self._foreign.setdefault(key, []).append(source)
         found: Tree = {}
         for name, item in value.items():
             place = f"{key}.{name}" if key else str(name)
@@ -201,7 +211,7 @@ class EnvMapping:
         nodes = dict(scene.items())
         mappings = [node for node in nodes.values() if isinstance(node, Mapping)]
         found = [node.get("prim_path") for node in mappings if last_name(node.get("class_type")) == "Articulation"]
-        self._robot_path = _IN_ENV.sub("", str(found[0] or "")) if found else ""
+        self._robot_path = found[0] if found else None
         robots = 0
         for name, node in nodes.items():
             kind = last_name(node.get("class_type")) if isinstance(node, Mapping) else ""
@@ -397,7 +407,7 @@ class EnvMapping:
         node |= {"border_width": 0.0, "difficulty_range": [0.0, 1.0], "curriculum": False}
         node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
         node |= part.take_if_known(parameters_of(node["_target_"], part.key))
-        made = {name: self._tile(tile, node["size"]) for name, tile in tiles.sections()}
+        made = {name: self._tile(tile, node["size"], node["horizontal_scale"]) for name, tile in tiles.sections()}
         node["sub_terrains"] = {name: tile for name, tile in made.items() if tile is not None}
         if not node["sub_terrains"]:
             raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(TILES))
@@ -406,8 +416,9 @@ class EnvMapping:
         part.finish(skip=_GENERATOR_UNUSED)
         return node
 
-    def _tile(self, part: Section, size: Sequence[float]) -> Tree | None:
-        function = last_name(part.take("function"))
+    def _tile(self, part: Section, size: Sequence[float], scale: float) -> Tree | None:
+        source = str(part.take("function"))
+        function = last_name(source)
         if function not in TILES:
             self._report.add(part.key, DROPPED, f"'{function}' does not exist here; the shares of the other tiles grow")
             return None
@@ -425,16 +436,21 @@ class EnvMapping:
         rule = _TILE_RULES.get(kind)
         if kind == "Gap":
             node["gap_depth"] = 1.0
-        if kind == "PyramidStairs":
+        if kind == "PyramidStairs" and "mesh_terrains" in source:
             # Isaac Lab's stairs start with a step at the border, and have as many steps as fit.
             width, border = node["step_width"], node.get("border_width", 0.0)
             inner = min(size) - 2 * border
             steps = (inner - node["platform_width"]) // (2 * width) + 1
             node["platform_width"] = round(max(0.0, inner - (2 * steps - 1) * width), 9)
-            rule = "the whole tile is a step lower than in Isaac Lab (inverted: higher), because it has no border"
+            lower = "a step lower than in Isaac Lab (inverted: higher), because"
+            rule = f"the stairs are {lower} the border is narrower than a step"
             if border >= width:
                 node["border_width"] = round(border - width, 9)
                 rule = "other border_width and platform_width, but the same heights"
+            if 2 * steps * width > inner + 1e-9:
+                rule += f"; the middle is at least {lower} the last step does not fit"
+            if any(abs(math.remainder(length, scale)) > 1e-6 for length in (width, border)):
+                rule += "; edges are rounded to horizontal_scale"
         self._report.add(part.key, NAME if rule is None else RULE, kind if rule is None else f"{kind}: {rule}")
         part.drop(["slope_threshold"], "the tile has slopes")
         part.finish(skip=("size", "vertical_scale", "convert_to_heightfield"))
@@ -494,16 +510,19 @@ class EnvMapping:
         return {"_target_": f"wheelleg_exp.sim.sensors.{kind}", "body_name": body, "offset": pose}
 
     def _in_scene(self, prim_path: object) -> bool:
-        """Return whether a prim path belongs to the robot or to the ground."""
-        place = _IN_ENV.sub("", str(prim_path or self._robot_path))
-        return place.startswith("/World/ground") or f"{place}/".startswith(f"{self._robot_path}/")
+        """Return whether a prim path, of which each part is an expression, belongs to the robot or to the ground."""
+        paths = (str(path or "").replace("{ENV_REGEX_NS}", _ENVS) for path in (prim_path, self._robot_path))
+        place, robot = map(_PARTS.split, paths)
+        pairs = zip(place, robot, strict=False)
+        is_robot = all(a == b or _matching([a], [b]) or _matching([b], [a]) for a, b in pairs)
+        is_ground = str(prim_path).startswith("/World/ground")
+        return not prim_path or is_ground or (is_robot and len(place) >= len(robot))
 
     def _bodies(self, prim_path: object) -> list[str]:
         """Return expressions of bodies: the last part of a prim path such as ``/World/envs/env_.*/Robot/.*_foot``."""
         if str(prim_path).startswith("/World/ground"):
             return ["ground"]
-        last = re.split(r"/(?![^\[]*\])", str(prim_path or ".*"))[-1]  # a set such as [^/] can contain the separator
-        return self._names.of(last, "link")
+        return self._names.of(_PARTS.split(str(prim_path or ".*"))[-1], "link")
 
 
 def is_version_3(tree: Tree) -> bool:

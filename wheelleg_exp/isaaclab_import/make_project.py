@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -95,8 +95,7 @@ def import_run(
             _copy_network(network, [folder.path, folder.config_file.parent, robot.parent], copied.parent)
         lost = [group for group in agent["obs_groups"]["actor"] if group in mapping.lost and weights is not None]
         if lost:
-            rows = [row for row in report.rows if row.outcome in (CODE, DROPPED) and row.key.count(".") == 2]
-            row = next(row for row in rows if row.key.startswith(f"observations.{lost[0]}."))
+            row = mapping.lost[lost[0]]
             message, expected = row.text, "a policy without this observation"
             if row.outcome == CODE:
                 message = "the policy observes a term that does not exist here"
@@ -188,7 +187,7 @@ def _remove_failing_terms(draft: Path, task: Tree, report: ImportReport) -> None
 def _write_run(
     path: Path,
     weights: PolicyWeights,
-    lost: Sequence[str],
+    lost: Collection[str],
     command: Sequence[str],
     display: Display,
     report: ImportReport,

@@ -8,7 +8,17 @@ from importlib import import_module
 from types import ModuleType
 
 from wheelleg_exp.errors import ConfigError
-from wheelleg_exp.isaaclab_import.import_report import ASSUMED, CODE, DROPPED, NAME, RULE, ImportReport, Section, shown
+from wheelleg_exp.isaaclab_import.import_report import (
+    ASSUMED,
+    CODE,
+    DROPPED,
+    NAME,
+    RULE,
+    ImportReport,
+    Row,
+    Section,
+    shown,
+)
 from wheelleg_exp.jobs.export.isaaclab_run import MODIFIERS, NOISES, OWN_TERMS, Tree
 from wheelleg_exp.terms.term_binding import RESERVED, resolve_target, signature_parameters
 
@@ -17,7 +27,7 @@ _STOCK = re.compile(
     r"(omni\.isaac\.lab_tasks|isaaclab_tasks)\.(manager_based\.locomotion|core|contrib)\.velocity\.mdp\b"
 )
 # Settings of commands that only change the log and what is drawn.
-_SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*visualizer_cfg|.*success_threshold")
+_SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*success_threshold")
 _OF_VERSION_3 = {"pva_orientation": "imu_orientation", "pva_projected_gravity": "imu_projected_gravity"}
 _WITH_QUATERNIONS = ("root_quat_w", "body_pose_w", "imu_orientation")
 _NOISE_KEYS = ("noise", "noise_cfg", "bias_noise_cfg")
@@ -28,14 +38,14 @@ UserTarget = Callable[[str, Iterable[str]], str | None]
 
 
 class TermMapping:
-    """Converts terms of the run's robot ``robot_name``; ``lost`` are the observation groups that lack a term."""
+    """Converts terms of the run's robot ``robot_name``; ``lost`` has the row of one that a group lacks."""
 
     def __init__(
         self, env: Tree, robot_name: str, user_target: UserTarget, report: ImportReport, *, xyzw: bool
     ) -> None:
         self._env, self._robot_name, self._user_target, self._report = env, robot_name, user_target, report
         self._xyzw = xyzw
-        self.lost: list[str] = []
+        self.lost: dict[str, Row] = {}
 
     def section(self, kind: str, part: Section) -> Tree:
         """Return the config of all terms of one kind, or of all observation groups."""
@@ -63,7 +73,7 @@ class TermMapping:
         for term, node in self._nodes(part):
             made = self._term("observations", node)
             if made is None:
-                self.lost.append(name)
+                self.lost.setdefault(name, self._report.rows[-1])
             else:
                 group["terms"][term] = made
                 if no_history or not made.get("history_length"):

@@ -92,9 +92,8 @@ def _settings_read(tree: Mapping[str, object], protocol: Protocol) -> Mapping[st
     return {"env": {**used, "rewards": rewards}, "agent": agent}
 
 
-def noisy_groups(run: RunDirectory, overrides: Sequence[str], config_dirs: Sequence[Path] = ()) -> list[str]:
+def _noisy_groups(config: EvaluateRoot) -> list[str]:
     """Return the groups of observations of the policy with the noise of its training, which an evaluation leaves on."""
-    config, _ = evaluation_settings(run, overrides, config_dirs)
     seen = {name: config.env.observations[name] for name in config.agent.obs_groups[config.agent.roles[0]]}
     return [
         n for n, group in seen.items() if group.enable_corruption and any(t.get("noise") for t in group.terms.values())
@@ -117,13 +116,17 @@ Draw = Callable[[Evaluation, Path], list[Path]]
 
 @dataclass(frozen=True)
 class Evaluated:
-    """The result of an evaluation, as saved in ``evaluation.json``; ``checkpoint`` is None for an LQR controller."""
+    """The result of an evaluation, as saved in ``evaluation.json``; ``checkpoint`` is None for an LQR controller.
+
+    ``noisy`` are the groups of the policy's observations with noise.
+    """
 
     run: RunDirectory
     checkpoint: Path | None
     folder: Path
     evaluation: Evaluation
     content: dict[str, Any]
+    noisy: Sequence[str] = ()
 
 
 def evaluate_run(
@@ -165,7 +168,7 @@ def evaluate_run(
         results = {"protocol": found.protocol["name"], **{key: content[key] for key in keys if key in content}}
         results["metrics"] = {name: figure.as_dict()["value"] for name, figure in found.metrics.items()}
         run.manifest().add(Reference.name if checkpoint is None else "evaluation", files, results, command=command)
-    return Evaluated(run, checkpoint, folder, found, content)
+    return Evaluated(run, checkpoint, folder, found, content, [] if checkpoint is None else _noisy_groups(config))
 
 
 def policy_of(checkpoint: Path, agent: Learning) -> MakePolicy:
@@ -197,5 +200,5 @@ def stored_evaluation(
         content = read_content(folder)
         made = tuple(content.get(key) for key in ("checkpoint_sha256", "seed", "protocol"))
         if (*made, run_overrides(content.get("overrides") or [])) == asked:
-            return Evaluated(run, checkpoint, folder, read_evaluation(folder), content)
+            return Evaluated(run, checkpoint, folder, read_evaluation(folder), content, _noisy_groups(config))
     return None

@@ -110,8 +110,6 @@ def prepare_policy(
     policy = load_policy(checkpoint, adapter, settings.agent)
     if settings.play.conditions != "training":
         display.note("note: no pushes, random forces, or observation noise (play.conditions=training has them)")
-    else:
-        display.note("note: with the training's pushes and noise (play.conditions=undisturbed switches them off)")
     return RunPolicy(run, checkpoint, settings, tree, adapter, policy, rollout_files.checkpoint_facts(run, checkpoint))
 
 

@@ -261,6 +261,7 @@ class IsaacLabEnv:
         if kind == "PyramidStairs":  # Isaac Lab's outermost ring is a step higher than the border.
             width, inner = values["step_width"], edge - 2 * values.get("border_width", 0.0)
             steps = math.ceil((inner - values["platform_width"]) / (2 * width) - 1e-9)
+            steps = min(steps, math.ceil(inner / (2 * width) - 1e-9) - 1)  # a tile has no room for more
             values["border_width"] = round((edge - inner) / 2 + width, 9)
             values["platform_width"] = round(inner - (2 * steps - 1) * width, 9)
         if kind == "PyramidSlope":
