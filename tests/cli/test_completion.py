@@ -27,7 +27,7 @@ OFFERED = {
     "wheelleg compose --primary ": ["evaluate", "pipeline", "play", "train"],
     "wheelleg compose --package env.sim.s": ["env.sim.solver"],
     "wheelleg train tas": ["task=", "task."],
-    "wheelleg train robot=": ["robot=article", "robot=explicit", "robot=late", "robot=motor", "robot=physical", "robot=physical_motor"],
+    "wheelleg train robot=p": ["robot=physical", "robot=physical_motor"],
     "wheelleg train pipeline=": ["pipeline=first_drive", "pipeline=jump", "pipeline=stand_to_terrain"],
     "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
     "wheelleg train reward@env.rewards=[alive,a": [
