@@ -194,7 +194,7 @@ STOCK = str(find_asset("wheelleg/wheelleg.usda"))
 
 
 def imports(record: str) -> bool:
-    return Path(record).is_file() or "/stand/" in record or record.endswith("/bundle")
+    return record.endswith((".pt", ".npz", "/bundle")) or "/stand/" in record
 
 
 # The command lines with a record r. The replay of a run is missing, because it runs the run's code and warns of this.
@@ -219,7 +219,7 @@ TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "list": lambda r: [("list", "runs", "--root", r), ("list", "runs", "--sweep", r)],
     "new": lambda r: [("new", "project", "--robot", r)],
     # Each line that reaches the parameters starts a child process: files are given as a policy, other commands read
-    # them as robots, and pipelines, results, and sweeps contain no parameters.
+    # them as robots, and pipelines, results, sweeps, and recordings contain no parameters.
     "import": lambda r: [
         *([("import", r, "--robot", r, "--output", "imported")] if Path(r).is_dir() else []),
         *([("import", r, "--robot", STOCK, "--policy", r, "--output", "imported")] if imports(r) else []),
