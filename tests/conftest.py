@@ -65,7 +65,9 @@ def _equal_compositions() -> Iterator[None]:
         repository.merged = True
         sources = [(source.scheme(), source.path) for source in repository.get_sources()]
         folders = [Path(path) for scheme, path in sources if scheme == "file" and Path(path) != stock]
-        files = [file for folder in folders for file in folder.rglob("*.yaml") if file.is_file()]
+        files = [
+            file for folder in folders for file in folder.rglob("*.yaml") if os.access(file, os.R_OK) and file.is_file()
+        ]
         chosen = [override.input_line for override in self.overrides if self._selects(override)]
         key = pickle.dumps((words, sources, chosen, [(file, file.read_bytes()) for file in files]))
         if key in known:
