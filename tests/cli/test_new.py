@@ -48,7 +48,7 @@ def test_the_tests_of_a_new_project_pass():
 
 
 @pytest.mark.train
-@pytest.mark.parametrize("robot", ["stock", "urdf", "wf_tron2a_isaac/robot.usd"])
+@pytest.mark.parametrize("robot", ["stock", "urdf", pytest.param("wf_tron2a_isaac/robot.usd", marks=pytest.mark.full)])
 def test_a_new_project_checks_and_trains(robot, request, tmp_path, monkeypatch):
     succeed("new", "myrobot", *robot_of(robot, request, tmp_path))
     monkeypatch.chdir(tmp_path / "myrobot")

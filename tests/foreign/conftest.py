@@ -14,6 +14,8 @@ from foreign.trial import SECRET, VARIABLE, Trial
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.jobs import play_policy
 from wheelleg_exp.jobs.train import run_training
+from wheelleg_exp.recording.reading import recording_digest
+from wheelleg_exp.recording.reading.recording_digest import entity_digests
 from wheelleg_exp.report import plot_images
 from wheelleg_exp.report.page_blocks import Plot
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -45,6 +47,17 @@ def _composed(words: tuple[str, ...], primary: str, folders: tuple[Path, ...]) -
     return compose(words, primary=primary, config_dirs=folders)
 
 
+_known: dict[bytes, dict[str, str]] = {}
+
+
+def _digests_once(path: Path) -> dict[str, str]:
+    """Compute the digests of equal recordings once, because most trials do not change the recording."""
+    content = path.read_bytes()
+    if content not in _known:
+        _known[content] = entity_digests(path)
+    return _known[content]
+
+
 @pytest.fixture
 def trial(trained, tmp_path, tmp_path_factory, monkeypatch) -> Trial:
     """Return a trial with a copy of the healthy run in a folder of the test."""
@@ -53,6 +66,7 @@ def trial(trained, tmp_path, tmp_path_factory, monkeypatch) -> Trial:
         return _composed(tuple(overrides), primary, tuple(config_dirs))
 
     monkeypatch.setattr(plot_images, "_plot", lambda panel: Plot(None, panel.title))
+    monkeypatch.setattr(recording_digest, "entity_digests", _digests_once)
     monkeypatch.setattr(play_policy, "compose", once)
     monkeypatch.setattr("wheelleg_exp.config.composing.compose.compose", once)
     monkeypatch.setenv("WHEELLEG_CACHE", str(cache_of(tmp_path_factory)))

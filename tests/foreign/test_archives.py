@@ -188,9 +188,16 @@ def give(archive: Archive, *words: str | Path, status: tuple[int, ...] = (0, 1, 
     return said
 
 
-# The command lines with a record r. The replay of a run is missing, because it runs the run's code and warns of this.
 QUICK = (*TINY, "env.num_envs=2", "recording.enabled=false", "agent.max_iterations=1", "agent.logger=null")
 SHORT = ("protocol.stand={episodes:1,horizon_s:1.1,survival_s:[0.5]}", "protocol.resamples=50")
+STOCK = str(find_asset("wheelleg/wheelleg.usda"))
+
+
+def imports(record: str) -> bool:
+    return record.endswith((".pt", ".npz", "/bundle")) or "/stand/" in record
+
+
+# The command lines with a record r. The replay of a run is missing, because it runs the run's code and warns of this.
 TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "train": lambda r: [
         ("train", f"init_from={r}", *QUICK),
@@ -211,9 +218,11 @@ TAKING: dict[str, Callable[[str], list[tuple[str, ...]]]] = {
     "diff": lambda r: [("diff", r, "stand")],
     "list": lambda r: [("list", "runs", "--root", r), ("list", "runs", "--sweep", r)],
     "new": lambda r: [("new", "project", "--robot", r)],
+    # Each line that reaches the parameters starts a child process: files are given as a policy, other commands read
+    # them as robots, and pipelines, results, sweeps, and recordings contain no parameters.
     "import": lambda r: [
-        ("import", r, "--robot", r, "--output", "imported"),
-        ("import", r, "--robot", str(find_asset("wheelleg/wheelleg.usda")), "--policy", r, "--output", "imported"),
+        *([("import", r, "--robot", r, "--output", "imported")] if Path(r).is_dir() else []),
+        *([("import", r, "--robot", STOCK, "--policy", r, "--output", "imported")] if imports(r) else []),
     ],
 }
 # These commands succeed on a healthy run.

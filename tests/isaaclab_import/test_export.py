@@ -111,12 +111,11 @@ def test_an_exported_run_is_imported_again(tmp_path: Path, monkeypatch: pytest.M
     write_run(tmp_path / "run")
     write_terms(tmp_path / "lab")
     monkeypatch.chdir(tmp_path)
-    words = ["--robot", str(ROBOT), "--terms", "lab"]
-    assert main(["import", "run", *words, "-o", "flip6"]) == 0
+    import_run(Path("run"), ROBOT, Path("flip6"), terms=Path("lab"))
     monkeypatch.chdir(tmp_path / "flip6")
     assert main(["export", "latest", "--format", "isaaclab", "-o", str(tmp_path / "lab_run")]) == 0
     monkeypatch.chdir(tmp_path)
-    assert main(["import", "lab_run", "--robot", str(ROBOT), "--terms", "flip6", "-o", "flip7"]) == 0
+    import_run(Path("lab_run"), ROBOT, Path("flip7"), terms=Path("flip6"))
     first = Path("flip6/configs/task/flip6.yaml").read_text().replace("flip6", "flip7")
     second = Path("flip7/configs/task/flip7.yaml").read_text()
     assert {**yaml.safe_load(first)["env"], "num_envs": 16} == yaml.safe_load(second)["env"]

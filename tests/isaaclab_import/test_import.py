@@ -414,7 +414,7 @@ def test_an_actuator_network_is_imported_and_played(tmp_path: Path, monkeypatch:
     assert main(["play", "latest", "env.episode_length_s=0.4", "env.num_envs=2"]) == 0
 
 
-@pytest.mark.parametrize("status", [0, 3])
+@pytest.mark.parametrize("status", [0, pytest.param(3, marks=pytest.mark.full)])
 def test_a_term_cannot_end_the_import(tmp_path: Path, status: int, capsys: pytest.CaptureFixture[str]) -> None:
     term = {"func": "my_lab.tasks.mdp.rewards:leaving", "params": {}, "weight": 1.0}
     write_run(tmp_path / "run", changed(ENV, "rewards.leaving", term))

@@ -56,8 +56,8 @@ def make_checkout(folder: Path) -> Path:
     left_out = shutil.ignore_patterns("__pycache__", "*.pyc", "configs", "assets")
     package = Path(wheelleg_exp.__file__).parent
     shutil.copytree(package, folder / "wheelleg_exp", ignore=left_out)
-    for source in (configs_dir(), assets_dir()):
-        shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__"))
+    for source in (configs_dir(), assets_dir()):  # No replay needs the stock policies, which are large.
+        shutil.copytree(source, folder / source.name, ignore=shutil.ignore_patterns("__pycache__", "policies"))
     (folder / ".gitignore").write_text("__pycache__/\nruns/\n")
     commit(folder)
     return folder

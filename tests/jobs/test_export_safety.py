@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from patience import PATIENCE_S
+from patience import PATIENCE_S, thinned
 from robot_logs.made import programs
 
 from jobs.small import succeed
@@ -347,7 +347,7 @@ def jumping(bundle, tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [*FAULTS, "the user stops and returns", "the user wants a jump"])
+@pytest.mark.parametrize("name", [*thinned(FAULTS, 3), "the user stops and returns", "the user wants a jump"])
 def test_a_robot_jumps_onto_a_step_after_a_bump_and_after_a_fault(name, jumping):
     loop, place, rolled, phases = Loop(jumping), 0.0, 0.0, []
     steps, change, _ = FAULTS.get(name, (30, put("commands.base_velocity", [0.0, 0.0, 0.2]), []))

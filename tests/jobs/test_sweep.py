@@ -249,6 +249,7 @@ def test_every_job_trains_a_listed_run_with_its_seed_and_the_index_has_its_resul
 
 
 @pytest.mark.train
+@pytest.mark.full  # The stand-ins above show the same stop without trainings.
 def test_an_interrupt_stops_the_sweep_and_leaves_the_trained_runs(tmp_path, tmp_path_factory):
     words = ["train", "-m", "seed=1,2", *SMALL, "agent.max_iterations=100000", "agent.save_interval=100000"]
     script = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main(sys.argv[1:]))"

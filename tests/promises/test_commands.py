@@ -42,6 +42,7 @@ MINE = "--config-dir elsewhere/mine"
 RESULTS = f"results page {{run}} {ELSEWHERE} {MINE}"
 INSPECT = f"inspect {{run}} {ELSEWHERE}"
 TRAINED, SLOW, PICTURES = ("train", "slow"), ("slow",), ("pictures",)
+FULL = (*TRAINED, "full")  # jobs/test_sweep.py and jobs/test_replay.py run these commands with other options
 
 LINES = [
     # --- configs ---
@@ -88,9 +89,9 @@ LINES = [
     Line(f"random-agent task=mine {MINE} --steps 5 --json {TINY}", '"figures"', "runs/agents"),
     # --- training ---
     Line(f"train task=mine {MINE} --json {BRIEF}", '"finished"', "runs/stand", marks=TRAINED),
-    Line(f"train --multirun seed=1 {BRIEF}", "1 of 1 jobs finished", "runs/sweeps", marks=TRAINED),
+    Line(f"train --multirun seed=1 {BRIEF}", "1 of 1 jobs finished", "runs/sweeps", marks=FULL),
     Line(f"resume {{run}} {ELSEWHERE} {MINE} --json agent.max_iterations=5", '"iterations": 5', marks=TRAINED),
-    Line(f"replay {{run}} {ELSEWHERE} --repository {{here}} --iterations 1 --keep --json", '"kept": "', marks=TRAINED),
+    Line(f"replay {{run}} {ELSEWHERE} --repository {{here}} --iterations 1 --keep --json", '"kept": "', marks=FULL),
 ]
 
 _INERTIA = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>'
