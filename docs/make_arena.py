@@ -5,8 +5,8 @@
 DETAILS is a JSON file that maps a row's name to ``policy``, ``source``, ``licence``, ``trained``, ``proof``, and
 ``run``, the run directory with evaluations of ``protocol=arena``; the newest of each test counts. ``physx`` is the run
 directory with evaluations of the engine ``physx``, if they are not in ``run``. The rows are added to
-``docs/tables/arena.json``, and their figures replace those of the same tests. The page is written from that file, also
-without arguments.
+``docs/tables/arena.json``, and replace rows of the same names. The page is written from that file, also without
+arguments.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def measured(run: RunDirectory, engine: str) -> tuple[dict[str, list[float]], di
     return shown, found[-1]["about"] if found else {}
 
 
-def row_of(run: RunDirectory, details: Mapping[str, Any], old: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row with the metrics of a run's newest evaluations, and with those of the ``old`` row that they lack."""
+def row_of(run: RunDirectory, details: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with the metrics of a run's newest evaluations."""
     env, _ = run_config.load_params(run)
     found, about = measured(run, "mujoco")
     second, engine = measured(RunDirectory(Path(details.get("physx", details["run"]))), "physx")
@@ -88,13 +88,9 @@ def row_of(run: RunDirectory, details: Mapping[str, Any], old: Mapping[str, Any]
         "mass": about["mass_kg"],
         "size": robot.get("size") or details.get("size"),  # old run directories lack it
         "commands": [max(map(abs, ranges[axis])) for axis in ("lin_vel_x", "ang_vel_z")],
-        "versions": {
-            **old.get("versions", {}),
-            "MuJoCo": about["mujoco"],
-            **({"ovphysx": engine["promise"]["version"]} if second else {}),
-        },
-        "figures": {**old.get("figures", {}), **found},
-        "physx": second or old.get("physx", {}),
+        "versions": {"MuJoCo": about["mujoco"], **({"ovphysx": engine["promise"]["version"]} if second else {})},
+        "figures": found,
+        "physx": second,
     }
 
 
@@ -186,7 +182,7 @@ def main(words: list[str]) -> None:
     rows: dict[str, Any] = json.loads(ROWS.read_text()) if ROWS.is_file() else {}
     for name, details in (json.loads(Path(words[0]).read_text()) if words else {}).items():
         run = RunDirectory(Path(details["run"]))
-        rows[name] = row_of(run, details, rows.get(name, {}))
+        rows[name] = row_of(run, details)
         picture(run, PICTURES / f"{name}.png")
     rows = dict(sorted(rows.items(), key=lambda item: not _is_outside(item[1])))
     write_text(ROWS, dump_json(rows) + "\n")

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_figures
+from wheelleg_exp.cli.printing.metric_tables import print_contacts, print_evaluation, print_figures
 from wheelleg_exp.definitions import CONTACTS, ROLLOUT
 from wheelleg_exp.jobs.rollout_figures import ContactFigures, MotionFigures, StandFigures
 
@@ -76,3 +76,19 @@ def test_contacts_name_their_steps(capsys):
 def test_every_key_has_a_definition():
     assert {field.name for field in fields(StandFigures)} == set(ROLLOUT)
     assert {field.name for field in fields(ContactFigures)} - {"body"} == set(CONTACTS)
+
+
+def test_a_metric_whose_episodes_agree_has_no_interval(capsys):
+    ends = {"survival": (1.0, 1.0, 1.0), "drift": (0.5, 0.25, 0.50001), "speed": (0.0, None, None)}
+    metrics = {
+        f"stand/{name}": {**dict(zip(("value", "low", "high"), found, strict=True)), "unit": "m", "episodes": 8}
+        for name, found in ends.items()
+    }
+    facts = {"about": {"physics_dt_s": 0.005, "step_dt_s": 0.02}, "protocol": {"name": "stand"}, "seed": 1}
+    print_evaluation({**facts, "scenarios_sha256": "c" * 64, "metrics": metrics})
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[-3:]]
+    assert rows == [
+        ["survival", "1", "m", "8"],
+        ["drift", "0.5", "0.25", "to", "0.5", "m", "8"],
+        ["speed", "0", "-", "m", "8"],
+    ]

@@ -29,6 +29,7 @@ from wheelleg_exp.jobs.train import source_roots as circumstances
 from wheelleg_exp.jobs.training_job import JobRequest, serve
 from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.rl import checkpoint
+from wheelleg_exp.rl.trainer import Iteration
 from wheelleg_exp.run.run_index import PipelineIndex
 from wheelleg_exp.stop_request import StopRequest
 
@@ -39,10 +40,14 @@ GATE = {"protocol": "stand", "at_least": {"stand/survival": 0.5}}
 
 
 class Quiet(Display):
-    """A display that stores its notes."""
+    """A display that stores its notes, and the finished and all iterations of each progress."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
+        self.progress: list[tuple[int, int]] = []
+
+    def iteration(self, iteration: Iteration, total: int) -> None:
+        self.progress.append((iteration.index + 1, total))
 
     def note(self, text: str) -> None:
         self.notes.append(text)
@@ -188,8 +193,10 @@ def test_the_record_states_why_a_phase_ended(whole: PipelineIndex):
 
 
 def test_a_phase_ends_early_after_the_configured_passes_in_a_row(killed):
-    index, status = resumed(killed(1), [1.0, 1.0])
+    display = Quiet()
+    index, status = resumed(killed(1), [1.0, 1.0], display=display)
     assert (status, index.phases[1]["trained"]) == ("finished", 2)
+    assert display.progress == [(2, 3)]  # of the iterations of the phase, not of those before the next evaluation
     assert index.phases[1]["why"] == "the gate was passed 2 times in a row, after 2 iterations"
 
 

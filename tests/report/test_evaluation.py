@@ -9,6 +9,7 @@ def add_evaluation(run, kind="evaluation", survival=0.5, scenarios="c" * 64):
     folder.mkdir(parents=True)
     figures = {
         "stand/survival": {"value": survival, "low": 0.0, "high": 1.0, "episodes": 2, "unit": "", "better": "higher"},
+        "stand/height_mean": {"value": 0.07, "low": 0.07, "high": 0.07, "episodes": 2, "unit": "m", "better": ""},
         "stand/pitch_rms": {"value": 0.1, "low": None, "high": None, "episodes": 2, "unit": "rad", "better": "lower"},
     }
     about = {"format": 1, "checkpoint": "model_2.pt", "about": {"profile": "article"}, "scenarios_sha256": scenarios}
@@ -26,6 +27,7 @@ def test_metrics_have_their_intervals_and_units(page, root):
     found = page(run).section("evaluation")
     for text in ("Protocol stand", "Survival 0.500 0.00 to 1.00", "Pitch rms 5.73° –", "Episodes that still stand"):
         assert text in found
+    assert "Height mean 0.0700 m Pitch" in found  # All episodes agree, so that there is no interval.
     assert f"wheelleg evaluate {run.id} protocol=stand --reference" in found
     (run.evaluation / "evaluation" / "evaluation.json").unlink()
     assert "cannot be read" in page(run).section("evaluation")

@@ -114,9 +114,9 @@ _EVENTS = _TERMS_BY_KIND["events"]
 _EVENTS.update({name: _with_isaac_labs_parameters(event) for name, event in _EVENTS.items()})
 _EVENTS["_randomize_prop_by_op"] = _randomize_prop_by_op
 _TERMS_BY_KIND["observations"]["joint_pos_limit_normalized"] = _joint_pos_limit_normalized
-# Names of Isaac Lab 3.0.
-_TERMS_BY_KIND["observations"]["pva_orientation"] = observations.imu_orientation
-_TERMS_BY_KIND["observations"]["pva_projected_gravity"] = observations.imu_projected_gravity
+# Observations of Isaac Lab 3.0, and their names here.
+OF_VERSION_3 = {"pva_orientation": "imu_orientation", "pva_projected_gravity": "imu_projected_gravity"}
+_TERMS_BY_KIND["observations"] |= {new: getattr(observations, old) for new, old in OF_VERSION_3.items()}
 TERMS = {name: term for terms in _TERMS_BY_KIND.values() for name, term in terms.items()}
 _ENVS = dict.fromkeys(("ManagerBasedEnv", "ManagerBasedRLEnv"), ManagerBasedRLEnv)
 _SENSORS = {**_public(sensors), "TiledCamera": sensors.Camera, "Pva": sensors.Imu, "PvaData": sensors.ImuData}

@@ -129,12 +129,13 @@ def _unitree(folder: RunFolder, names: list[str], report: ImportReport) -> Tree:
     if len(set(order)) != len(names):
         message = f"the policy has {len(set(order))} joints, but the robot file has {len(names)}"
         raise RunDirectoryError(message, key="joint_ids_map", where=where, expected="the robot of the policy")
+    if min(order) < 0:
+        raise RunDirectoryError("a motor's number is negative", key="joint_ids_map", where=where, expected="0 or more")
     joints = [names[sorted(order).index(motor)] for motor in order]
     text = f"the motors have the order of the joints in the robot file; the policy's order is {', '.join(joints)}"
     report.add("joint_ids_map", ASSUMED, text)
     step = (_STEP, round(config["step_dt"] / _STEP))
     report.add("sim.dt", ASSUMED, f"{_STEP} s, Isaac Lab's step for locomotion; {step[1]} steps per control step")
-    _picked(range(max(order) + 1), order, "joint_ids_map", where)
     gains = {name: _picked(config[name], order, name, where) for name in ("stiffness", "damping")}
     tree = _tree(joints, config["default_joint_pos"], step, _actuators(joints, **gains))
     velocity = (config.get("commands") or {}).get("base_velocity")

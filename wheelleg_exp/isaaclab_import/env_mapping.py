@@ -22,7 +22,8 @@ from wheelleg_exp.isaaclab_import.import_report import (
     shown,
 )
 from wheelleg_exp.isaaclab_import.term_mapping import TermMapping, UserTarget, entity, last_name, parameters_of
-from wheelleg_exp.jobs.export.isaaclab_run import INVERTED, KINDS, MODIFIERS, NOISES, PATTERNS, PIT_NAMES, TILES, Tree
+from wheelleg_exp.isaaclab_import.tile_mapping import convert_generator
+from wheelleg_exp.jobs.export.isaaclab_run import KINDS, MODIFIERS, NOISES, PATTERNS, TILES, Tree
 from wheelleg_exp.sim.names import compiled, values_by_name
 
 _DRAWN = "nothing is drawn during training"
@@ -54,11 +55,10 @@ _SPAWN_DROPPED = (
     *("visual_material", "make_instanceable", "force_usd_conversion", "usd_dir", "usd_file_name", "merge_fixed_joints"),
     "physics_material_path",
 )
-# Keys that do not change the simulation, of the robot, the terrain, its generator, and sensors.
+# Keys that do not change the simulation, of the robot, the terrain, and sensors.
 _UNUSED = ("class_type", "prim_path", "collision_group", "debug_vis")
 _ROBOT_UNUSED = (*_UNUSED, "articulation_root_prim_path", "actuator_value_resolution_debug_print")
 _TERRAIN_UNUSED = (*_UNUSED, "num_envs", "env_spacing", "use_terrain_origins", "visual_material")
-_GENERATOR_UNUSED = ("class_type", "color_scheme", "use_cache", "cache_dir")
 _SENSOR_UNUSED = (
     *_UNUSED,
     *("force_visualization_scale", "spawn", "mesh_prim_paths", "global_world_only", "use_cuda_graph"),
@@ -89,14 +89,6 @@ _BY_JOINT = (
     *("scale", "offset", "clip", "stiffness", "damping", "effort_limit", "velocity_limit", "effort_limit_sim"),
     *("velocity_limit_sim", "armature", "friction", "viscous_friction", "dynamic_friction"),
 )
-# How tiles that follow a rule of this project differ from Isaac Lab's.
-_TILE_RULES = {
-    "Gap": "the gap is 1 m deep; in Isaac Lab, it has no bottom",
-    "PyramidSlope": "faces have one slope; in Isaac Lab, the slope decreases from the middle of a face to its corners",
-    "Rails": "edges are rounded to horizontal_scale, and the outer rail is always a square; in Isaac Lab, neither",
-    "RandomGrid": "edges are slopes, and the middle has the height 0; in Isaac Lab, the largest possible height",
-    "SteppingStones": "stones and holes have the given widths; in Isaac Lab, these are rounded to horizontal_scale",
-}
 _CONTACTS = 8  # most contacts of a body that are summed; Isaac Lab sums all
 _FRICTION = 0.5  # Isaac Lab's default coefficient of a material
 
@@ -391,7 +383,7 @@ class EnvMapping:
         node = _plane(*self._frictions(part.section("physics_material"), modes))
         generator, level = part.section("terrain_generator"), part.take("max_init_terrain_level")
         if kind == "generator":
-            node |= self._generator(generator)
+            node |= convert_generator(generator, self._report)
             node |= {"max_init_terrain_level": level} if level is not None else {}
             self._report.add(part.key, NAME, "TerrainGenerator")
         elif kind == "plane":
@@ -399,61 +391,6 @@ class EnvMapping:
         else:
             self._report.add(part.key, DROPPED, f"terrain of type {kind}: a plane replaces it")
         part.finish(skip=_TERRAIN_UNUSED)
-        return node
-
-    def _generator(self, part: Section) -> Tree:
-        tiles = part.section("sub_terrains")
-        node: Tree = {"_target_": "wheelleg_exp.sim.terrain.TerrainGenerator", "num_rows": 1, "num_cols": 1}
-        node |= {"border_width": 0.0, "difficulty_range": [0.0, 1.0], "curriculum": False}
-        node |= {"horizontal_scale": 0.1, "vertical_scale": 0.005}
-        node |= part.take_if_known(parameters_of(node["_target_"], part.key))
-        made = {name: self._tile(tile, node["size"], node["horizontal_scale"]) for name, tile in tiles.sections()}
-        node["sub_terrains"] = {name: tile for name, tile in made.items() if tile is not None}
-        if not node["sub_terrains"]:
-            raise ConfigError("none of the tiles exists here", key=tiles.key, expected=", ".join(TILES))
-        part.drop(["slope_threshold"], "tiles of boxes have vertical edges, other tiles have slopes")
-        part.drop(["border_height"], "the border ends at the level of the ground")
-        part.finish(skip=_GENERATOR_UNUSED)
-        return node
-
-    def _tile(self, part: Section, size: Sequence[float], scale: float) -> Tree | None:
-        source = str(part.take("function"))
-        function = last_name(source)
-        if function not in TILES:
-            self._report.add(part.key, DROPPED, f"'{function}' does not exist here; the shares of the other tiles grow")
-            return None
-        kind = TILES[function]
-        node: Tree = {"_target_": f"wheelleg_exp.sim.terrain.{kind}"}
-        node |= {"inverted": True} if function in INVERTED else {}
-        renamed = PIT_NAMES | {"flat_patch_sampling": "flat_patches"}
-        node |= {renamed[name]: value for name, value in part.take_if_known(renamed).items()}
-        if kind == "PyramidSlope":
-            low, high = part.take("slope_range")
-            node["slope_range"] = [math.atan(low), math.atan(high)]
-            text = f"[{low}, {high}] (rise over run) became radians, also between them"
-            self._report.add(f"{part.key}.slope_range", RULE, text)
-        node |= part.take_if_known(parameters_of(node["_target_"], part.key))
-        rule = _TILE_RULES.get(kind)
-        if kind == "Gap":
-            node["gap_depth"] = 1.0
-        if kind == "PyramidStairs" and "mesh_terrains" in source:
-            # Isaac Lab's stairs start with a step at the border, and have as many steps as fit.
-            width, border = node["step_width"], node.get("border_width", 0.0)
-            inner = min(size) - 2 * border
-            steps = (inner - node["platform_width"]) // (2 * width) + 1
-            node["platform_width"] = round(max(0.0, inner - (2 * steps - 1) * width), 9)
-            lower = "a step lower than in Isaac Lab (inverted: higher), because"
-            rule = f"the stairs are {lower} the border is narrower than a step"
-            if border >= width:
-                node["border_width"] = round(border - width, 9)
-                rule = "other border_width and platform_width, but the same heights"
-            if 2 * steps * width > inner + 1e-9:
-                rule += f"; the middle is at least {lower} the last step does not fit"
-            if any(abs(math.remainder(length, scale)) > 1e-6 for length in (width, border)):
-                rule += "; edges are rounded to horizontal_scale"
-        self._report.add(part.key, NAME if rule is None else RULE, kind if rule is None else f"{kind}: {rule}")
-        part.drop(["slope_threshold"], "the tile has slopes")
-        part.finish(skip=("size", "vertical_scale", "convert_to_heightfield"))
         return node
 
     def _contact_sensor(self, part: Section) -> Tree:

@@ -8,6 +8,7 @@ from importlib import import_module
 from types import ModuleType
 
 from wheelleg_exp.errors import ConfigError
+from wheelleg_exp.isaaclab import OF_VERSION_3
 from wheelleg_exp.isaaclab_import.import_report import (
     ASSUMED,
     CODE,
@@ -28,7 +29,6 @@ _STOCK = re.compile(
 )
 # Settings of commands that only change the log and what is drawn.
 _SHOWN = re.compile(r"debug_vis|marker_pos_offset|.*success_threshold")
-_OF_VERSION_3 = {"pva_orientation": "imu_orientation", "pva_projected_gravity": "imu_projected_gravity"}
 _WITH_QUATERNIONS = ("root_quat_w", "body_pose_w", "imu_orientation")
 _NOISE_KEYS = ("noise", "noise_cfg", "bias_noise_cfg")
 _OWN = "wheelleg_exp."
@@ -171,7 +171,7 @@ class TermMapping:
 
     def _target(self, kind: str, source: str, params: Iterable[str]) -> str | None:
         module, name = _module(kind), last_name(source)
-        name = _OF_VERSION_3.get(name, name)
+        name = OF_VERSION_3.get(name, name)
         if _STOCK.match(source) and callable(getattr(module, name, None)):
             return f"{module.__name__}.{name}"
         return self._user_target(source, params)

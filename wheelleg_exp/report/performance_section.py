@@ -310,8 +310,8 @@ def _row(name: str, figure: Mapping[str, object], reference: Mapping[str, object
     ends = [_scaled_figure(figure.get(end), factor) for end in ("low", "high")]
     value = _scaled_figure(figure.get("value"), factor)
     shown = f"{value}{'' if unit.startswith('°') or not unit else ' '}{unit}" if value != "–" else value
-    interval = Cell("–" if "–" in ends else " to ".join(ends), number=True)
-    cells = [Cell(capital(spoken(name.partition("/")[2]))), Cell(shown, number=True), interval]
+    between = "–" if "–" in ends else "" if ends == [value, value] else " to ".join(ends)
+    cells = [Cell(capital(spoken(name.partition("/")[2]))), Cell(shown, number=True), Cell(between, number=True)]
     return cells if reference is None else [*cells, Cell(_scaled_figure(reference.get(name), factor), number=True)]
 
 

@@ -147,8 +147,7 @@ def _row(name: str, figure: Mapping[str, Any]) -> tuple[str, str, str, str, str]
     factor, unit = _scale(figure["unit"])
     ends = [figure[key] for key in ("value", "low", "high")]
     value, low, high = ("-" if end is None else f"{end * factor:.4g}" for end in ends)
-    between = "-" if "-" in (low, high) else f"{low} to {high}"
-    return name.split("/", 1)[1], value, between, unit, str(figure["episodes"])
+    return name.split("/", 1)[1], value, _between(value, low, high), unit, str(figure["episodes"])
 
 
 def print_comparison(
@@ -170,8 +169,8 @@ def print_comparison(
         factor, unit = _scale(row.unit)
         cells = [_number(value, factor) for value in row.values]
         if several:
-            mean = row.mean
-            cells += [_number(mean.value, factor), _between(mean.low, mean.high, factor), _number(mean.floor, factor)]
+            mean = [_number(x, factor) for x in (row.mean.value, row.mean.low, row.mean.high)]
+            cells += [mean[0], _between(*mean), _number(row.mean.floor, factor)]
         if reference is not None:
             figure = reference.evaluation.metrics.get(row.metric)
             cells.append("-" if figure is None else _number(figure.value, factor))
@@ -199,19 +198,19 @@ def print_differences(made: Compared, only: Sequence[str] = ()) -> None:
 
 def _difference(row: Difference) -> tuple[str, ...]:
     factor, unit = _scale(row.unit)
-    value = row.interval
+    found = row.interval
     test = ("", "") if row.test is None or row.p is None else (row.test.test, f"{row.p:.2g}")
-    numbers = (_number(x, factor) for x in (row.first, row.second, value.value))
-    return row.metric, unit, *numbers, _between(value.low, value.high, factor), *test, row.outcome or "-"
+    numbers = [_number(x, factor) for x in (row.first, row.second, found.value, found.low, found.high)]
+    return row.metric, unit, *numbers[:3], _between(*numbers[2:]), *test, row.outcome or "-"
 
 
 def _scale(unit: str) -> tuple[float, str]:
     return (180.0 / math.pi if unit in _DEGREES else 1.0), _DEGREES.get(unit, unit)
 
 
-def _between(low: float, high: float, factor: float) -> str:
-    ends = _number(low, factor), _number(high, factor)
-    return "-" if "-" in ends else " to ".join(ends)
+def _between(value: str, low: str, high: str) -> str:
+    """Return the interval of a printed value, or an empty text if both ends equal the value."""
+    return "-" if "-" in (low, high) else "" if value == low == high else f"{low} to {high}"
 
 
 def _number(value: float, factor: float) -> str:

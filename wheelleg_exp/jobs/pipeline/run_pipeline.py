@@ -418,7 +418,8 @@ class PipelineRunner:
         elif kind == "note":
             self._display.note(f"{entry['name']}: {event['text']}")
         elif kind == "iteration":
-            self._display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), event["total"])
+            total = self._settings.phases[entry["name"]].max_iterations  # a gate pauses the training earlier
+            self._display.iteration(Iteration(event["done"] - 1, event["scalars"], 0), total)
 
 
 def resume_pipeline(
