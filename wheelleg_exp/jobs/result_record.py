@@ -222,10 +222,10 @@ def _table(record: ResultRecord, names: Sequence[str], label: Callable[[str], st
         row = record["over_seeds"][name]
         factor, unit = (180.0 / math.pi if row["unit"] in _DEGREES else 1.0), _DEGREES.get(row["unit"], row["unit"])
         mean = row["mean"]
-        ends = [_number(mean[end], factor) for end in ("low", "high")]
-        between = ends[0] if ends[0] == "–" else " to ".join(ends)
+        middle, *ends = (_number(mean[key], factor) for key in ("value", "low", "high"))
+        between = ends[0] if ends[0] == "–" else "" if ends == [middle, middle] else " to ".join(ends)
         cells = [_number(value, factor) for value in row["values"]]
-        cells += [_number(mean["value"], factor), between, _number(mean["floor"], factor)] if count > 1 else [between]
+        cells += [middle, between, _number(mean["floor"], factor)] if count > 1 else [between]
         if reference:
             cells.append(_number(one["value"] if (one := reference["metrics"].get(name)) else None, factor))
         if against:
