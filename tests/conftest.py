@@ -48,13 +48,35 @@ def _equal_compositions() -> Iterator[None]:
     """Merge equal config files once per process, because Hydra needs 0.3 s; only overrides of values are applied again.
 
     Two merges are equal if the overrides that select options, the search path, and the user's config files are equal.
+    Other merges use the parsed stock files again, each at its place in the tree, which saves a third of the time.
     """
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
 
-    from wheelleg_exp.config.composing.config_loader import Loader
+    from wheelleg_exp.config.composing.config_loader import Loader, Repository
     from wheelleg_exp.paths import configs_dir
 
     merge, known, stock = ConfigLoaderImpl.load_configuration, {}, configs_dir()
+    load, parsed = Repository._load_file, {}
+    compose, placed = ConfigLoaderImpl._compose_config_from_defaults_list, {}
+
+    def read_once(self: Repository, config_path: str) -> Any:
+        files = self.files(config_path)
+        if len(files) > 1 or not files[0].is_relative_to(stock):
+            return load(self, config_path)
+        if config_path not in parsed:
+            result = load(self, config_path)
+            parsed[config_path] = pickle.dumps((result, self.loaded[config_path]))
+        result, self.loaded[config_path] = pickle.loads(parsed[config_path])
+        return result
+
+    def placed_once(self: ConfigLoaderImpl, defaults: list[Any], repo: Any) -> Any:
+        file = repo.loaded.get(defaults[0].config_path) if isinstance(self, Loader) and len(defaults) == 1 else None
+        if file is None or not file.file.is_relative_to(stock):
+            return compose(self, defaults, repo)
+        key = pickle.dumps(defaults)
+        if key not in placed:
+            placed[key] = pickle.dumps(compose(self, defaults, repo))
+        return pickle.loads(placed[key])
 
     def remembered(self: ConfigLoaderImpl, *words: Any, **named: Any) -> Any:
         if not isinstance(self, Loader):
@@ -82,9 +104,11 @@ def _equal_compositions() -> Iterator[None]:
             known[key] = (pickle.dumps(state), repository.cache)
         return tree
 
-    ConfigLoaderImpl.load_configuration = remembered
+    ConfigLoaderImpl.load_configuration, Repository._load_file = remembered, read_once
+    ConfigLoaderImpl._compose_config_from_defaults_list = placed_once
     yield
-    ConfigLoaderImpl.load_configuration = merge
+    ConfigLoaderImpl.load_configuration, Repository._load_file = merge, load
+    ConfigLoaderImpl._compose_config_from_defaults_list = compose
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -22,6 +22,7 @@ from wheelleg_exp.terms.key_syntax import names_pipeline
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_folders")]
 
 ROOT = Path(__file__).resolve().parents[2]
+LONG = ("stock", "wf_tron2a_isaac/robot.usd")
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
@@ -48,7 +49,7 @@ def test_the_tests_of_a_new_project_pass():
 
 
 @pytest.mark.train
-@pytest.mark.parametrize("robot", ["stock", "urdf", pytest.param("wf_tron2a_isaac/robot.usd", marks=pytest.mark.full)])
+@pytest.mark.parametrize("robot", ["urdf", *(pytest.param(name, marks=pytest.mark.full) for name in LONG)])
 def test_a_new_project_checks_and_trains(robot, request, tmp_path, monkeypatch):
     succeed("new", "myrobot", *robot_of(robot, request, tmp_path))
     monkeypatch.chdir(tmp_path / "myrobot")

@@ -164,10 +164,11 @@ def checked(**measured):
     gates = read_yaml(assets_dir() / "policies" / stock_policies.GATES)
 
     def evaluate(name, overrides):
-        gate = gates["standing" if overrides == ["protocol=stand"] else "own"]
+        stands = overrides == ["protocol=stand"]
+        gate = gates["standing" if stands else "own"]
         gate = gate.get(name, gate)
         bounds = {**gate.get("at_least", {}), **gate.get("at_most", {})}
-        assert set(bounds) <= metrics_of(name, *overrides)
+        assert set(bounds) <= metrics_of("walk" if stands else name, *overrides)
         values = bounds | {key: value for key, value in measured.items() if key in bounds}
         return SimpleNamespace(metrics={key: SimpleNamespace(value=value) for key, value in values.items()})
 

@@ -114,3 +114,16 @@ def test_the_articles_task_has_the_articles_numbers():
     assert not env["curriculum"]
     assert agent["num_steps_per_env"] == 24
     assert agent["actor"]["hidden_dims"] == agent["critic"]["hidden_dims"] == [512, 256, 128]
+
+
+def test_a_config_file_is_read_for_each_folder_and_after_each_change(tmp_path):
+    file, found = tmp_path / "configs" / "observation" / "base_ang_vel.yaml", []
+    file.parent.mkdir(parents=True)
+    for scale in (None, 2.0, 3.0, None):
+        if scale is not None:
+            term = f"base_ang_vel: {{_target_: wheelleg_exp.mdp.observations.base_ang_vel, scale: {scale}}}"
+            file.write_text(f"# @replaces observation/base_ang_vel\n{term}\n")
+        config = compose(["task=stand"], config_dirs=[tmp_path / "configs"] if scale else []).config["env"]
+        found.append({group["terms"]["base_ang_vel"]["scale"] for group in config["observations"].values()})
+    assert found == [found[0], {2.0}, {3.0}, found[0]]
+    assert found[0].isdisjoint({2.0, 3.0})

@@ -19,10 +19,12 @@ from wheelleg_exp.cli.main import main
 from wheelleg_exp.config.composing.compose import compose
 from wheelleg_exp.env import ManagerBasedRLEnv
 from wheelleg_exp.errors import WheellegError
+from wheelleg_exp.isaaclab_import import make_project
 from wheelleg_exp.isaaclab_import.import_report import CODE
 from wheelleg_exp.isaaclab_import.make_project import import_run
 from wheelleg_exp.rl import checkpoint as checkpoints
 from wheelleg_exp.run.run_directory import RunDirectory
+from wheelleg_exp.sim.actuators import network_actuators
 
 
 def test_an_imported_run_plays_and_trains_further(
@@ -67,6 +69,7 @@ def test_the_answer_as_json_lists_every_row_of_the_report(
 ) -> None:
     write_run(tmp_path / "run", ENV)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(make_project, "call_limited", lambda importing, **_: importing())
     assert main(["import", "run", "--robot", str(ROBOT), "-o", "flip1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["project"] == "flip1"
@@ -407,6 +410,7 @@ def test_an_actuator_network_is_imported_and_played(tmp_path: Path, monkeypatch:
     legs["network_file"] = "https://server/Isaac/ActuatorNets/legs.pt"
     folder, _ = write_run(tmp_path / "run", changed(ENV, "scene.robot.actuators.legs", legs))
     torques.written(torques.perceptron() if kind == "ActuatorNetMLP" else torques.recurrent(), folder / "legs.pt")
+    monkeypatch.setattr(network_actuators, "call_limited", lambda load, *words, **_: load(*words))
     made = import_run(folder, ROBOT, tmp_path / "flip8")
     node = yaml.safe_load((made.path / "configs/robot/flip8.yaml").read_text())["actuators"]["legs"]
     assert (made.path / "assets" / node["network_file"]).read_bytes() == (folder / "legs.pt").read_bytes()

@@ -112,7 +112,7 @@ def words(tmp_path, monkeypatch):
     return ["identify", "log.csv", *options, "--drive-rate", "1200", "--json"]
 
 
-@pytest.mark.parametrize("steps", [1, 8])
+@pytest.mark.parametrize("steps", [pytest.param(1, marks=pytest.mark.full), 8])
 def test_six_parameters_of_an_independent_robot_are_found_within_5_percent(steps, words, tmp_path):
     chirp_log(tmp_path / "log.csv", steps)
     found = json.loads(succeed(*words).out)
@@ -146,7 +146,7 @@ def test_the_simulated_chirps_of_a_bundle_give_the_parameters_of_its_robot(tmp_p
     bundle, _, _ = bundle_of("physical", tmp_path / "bundle")
     chirps, simulate = programs("chirps", "simulate")
     chirps.SECONDS, chirps.REST = 1.0, 0.4
-    monkeypatch.setattr(motor_identification, "_MOST_EVALUATIONS", 12)
+    monkeypatch.setattr(motor_identification, "_MOST_EVALUATIONS", 7)
     spec = json.loads((bundle / "policy.json").read_text())
     chirps.write("log.csv", simulate.HungRobot(spec, bundle / "robot" / "scene.xml").play(chirps.Chirps(spec)))
     found = json.loads(succeed("identify", "log.csv", "--robot", "physical", "--json").out)["parameters"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -111,6 +112,7 @@ class Key(NamedTuple):
     required: bool
 
 
+@functools.cache
 def keys_of(options: type) -> dict[str, Key]:
     """Return the keys that a config section accepts, which are the fields of the section's dataclass."""
     hints = typing.get_type_hints(options, include_extras=True)
