@@ -22,7 +22,7 @@ from wheelleg_exp.rl.ranks import Ranks
 from wheelleg_exp.rl.trainer import Trainer
 from wheelleg_exp.rl.vec_env import RslRlVecEnv
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("forks")]
 
 FEW = [*TINY, "env.num_envs=4", "agent.save_interval=1", "recording.enabled=false"]
 # After one step of gradient descent, the change of the weights is a multiple of the gradient.

@@ -36,7 +36,7 @@ from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.run.run_lock import RunLock
 from wheelleg_exp.sim.batch_engine import BatchEngine
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("forks")]
 
 FOUR = [*SMALL, "agent.max_iterations=4"]
 
