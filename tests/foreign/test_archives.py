@@ -265,7 +265,7 @@ RECORDS: dict[str, Callable[[Archive], Path]] = {
 @pytest.mark.parametrize("kind", RECORDS)
 def test_no_command_runs_code_of_a_record_or_trusts_it(archive, kind):
     record = RECORDS[kind](archive)
-    # An import starts a child process, which a fork does not start without -P and with foreign modules such as yaml.
+    # Imports run in child processes. A fork has loaded modules such as yaml, so one record is given to whole processes.
     with nullcontext() if kind == "run" else forking():
         for command, lines in TAKING.items():
             given = [give(archive, *words).status for words in lines(str(record))]
