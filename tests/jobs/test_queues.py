@@ -190,13 +190,13 @@ def test_a_job_that_submitit_preempts_often_ends_as_the_uninterrupted_run():
         said = wheelleg("resume", "--sweep", "latest")
     assert (said.status, len(pids)) == (0, count), said.out + said.err
     run = only_run(Path("runs"))
-    require_equal(run, only_run(Path("alone")), f"model_{10 * count - 1}.pt")
+    require_equal(run, only_run(Path("alone")), f"model_{10 * count - 1}.pt", "exported/policy.onnx")
     assert len(manifest(run)["resumes"]) == count
 
 
-def require_equal(run: Path, alone: Path, checkpoint: str) -> None:
+def require_equal(run: Path, alone: Path, *names: str) -> None:
     """Compare a run of a queue with one in the test's process, also the variables that change numbers."""
-    for name in (checkpoint, "params/env.yaml"):
+    for name in ("params/env.yaml", *names):
         assert (run / name).read_bytes() == (alone / name).read_bytes(), name
     ours, theirs = (Manifest.load(path).data["environment_variables"] for path in (run, alone))
     numeric = ("MKL_CBWR", "OMP_WAIT_POLICY", "OMP_NUM_THREADS")
@@ -277,4 +277,5 @@ def test_a_job_of_a_queue_is_the_run_alone_and_one_that_is_killed_is_named(launc
     *finished, killed = index()["jobs"]
     assert "was ended from outside" in killed["error"]["message"]
     for job in finished:
-        require_equal(index_.run_of(job), trained_once(tmp_path_factory).run.path, "model_2.pt")
+        alone = trained_once(tmp_path_factory).run.path
+        require_equal(index_.run_of(job), alone, "model_2.pt", "exported/policy.onnx")
