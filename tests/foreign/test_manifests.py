@@ -115,7 +115,7 @@ def test_stored_variables_do_not_get_into_this_process(trial, monkeypatch):
     kept = {"PATH": str(trial.run.path), "LD_PRELOAD": "evil.so", "A=B": "c", "": "x", VARIABLE: "theirs"}
     trial.yaml(".hydra/config.yaml", lambda config: config["run"].update(name="${oc.env:PATH}"))
     trial.manifest(config_variables=kept, environment_variables=kept)
-    trial.try_each(("diff", "verify", "report"), (0, 1))
+    trial.try_each(("diff", "report"), (0, 1))  # The command report also verifies the run.
     assert (os.environ.get("LD_PRELOAD"), os.environ[VARIABLE]) == (None, SECRET)
 
 

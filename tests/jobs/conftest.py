@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forks import forking
 
 from jobs.small import Trained, copied, shared_cache
 from wheelleg_exp.run.run_directory import RunDirectory
@@ -21,6 +22,12 @@ def _own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def _cache_and_threads(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Set the cache folder before the fixtures of a module, and restore the number of threads after its tests."""
     with shared_cache(tmp_path_factory):
+        yield
+
+
+@pytest.fixture(scope="module")
+def forks() -> Iterator[None]:
+    with forking():
         yield
 
 

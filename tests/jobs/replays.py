@@ -75,7 +75,8 @@ def train(checkout: Path, *overrides: str, root: Path, options: tuple[str, ...] 
 
     ``path`` is one more folder of modules.
     """
-    command = [sys.executable, "-P", "-m", "wheelleg_exp.cli.main", "train", *SMALL, *overrides, f"run.root={root}"]
+    # With -R, the process is not a fork: the hashes of a replay differ from those of the run.
+    command = [sys.executable, "-RP", "-m", "wheelleg_exp.cli.main", "train", *SMALL, *overrides, f"run.root={root}"]
     environ = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, filter(None, (checkout, path))))}
     done = subprocess.run(
         [*command, *options], cwd=checkout, env=environ, capture_output=True, text=True, timeout=PATIENCE_S, check=False

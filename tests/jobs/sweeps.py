@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from forks import forking
 
 from jobs.small import SMALL, Words, cache_of, succeed
 from wheelleg_exp.jobs.run_sweep import LocalLauncher, SweepRunner
@@ -131,7 +132,7 @@ def swept_once(factory: pytest.TempPathFactory) -> Swept:
     base = factory.getbasetemp()
     if base not in _swept:
         folder = factory.mktemp("swept")
-        with pytest.MonkeyPatch.context() as patch:
+        with pytest.MonkeyPatch.context() as patch, forking():
             patch.chdir(folder)
             patch.setenv("WHEELLEG_CACHE", str(cache_of(factory)))
             seeds = "seed=" + ",".join(map(str, SEEDS))

@@ -98,6 +98,6 @@ def test_the_same_policy_is_compared_in_two_engines(run):
     found = evaluated(run.path, "--engines", "mujoco,warp", protocol=brief)
     assert found["verdict"].startswith(("warp confirms mujoco in all", "warp differs from mujoco in"))
     assert {row["outcome"] for row in found["differences"].values()} <= {"", "differs"}
-    assert evaluated(run.path, "--engine", "warp", protocol=brief)["about"]["engine"] == "warp"
+    assert evaluated(run.path, "--engine", "warp", "--stored", protocol=brief)["about"]["engine"] == "warp"
     (one,), (other,) = found["runs"], found["against"]
     assert one["checkpoint_sha256"] == other["checkpoint_sha256"]

@@ -31,6 +31,7 @@ def project(tmp_path: Path) -> Path:
 
 
 @pytest.mark.train
+@pytest.mark.usefixtures("forks")
 def test_a_run_is_resumed_played_and_replayed_on_its_stored_ground(project):
     ground = project / "assets" / "grounds" / "hills.npy"
     words = ("--config-dir", project / "configs", "scene=hills", *TINY, f"run.root={project / 'runs'}")

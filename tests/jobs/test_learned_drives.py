@@ -13,7 +13,7 @@ from patience import PATIENCE_S
 
 from jobs.small import TINY, only_run, refused, succeed, wheelleg
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("forks")]
 
 ROBOT = """# @package env.robot
 defaults: [article, _self_]
@@ -47,9 +47,10 @@ def project(tmp_path: Path) -> Path:
 def make_network(file: Path) -> None:
     """Write a network in a process of its own: names of classes that TorchScript has seen would reach the policy."""
     file.parent.mkdir(parents=True)
-    words = "import torch; n = torch.nn; m = n.Sequential(n.Linear(6, 16), n.Softsign(), n.Linear(16, 1)); "
+    words = "import torch, warnings; warnings.simplefilter('ignore'); n = torch.nn; "
+    words += "m = n.Sequential(n.Linear(6, 16), n.Softsign(), n.Linear(16, 1)); "
     code = words + f"torch.manual_seed(0); torch.jit.save(torch.jit.script(m), {str(file)!r})"
-    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=PATIENCE_S)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
 
 
 def alone(*words):

@@ -19,7 +19,7 @@ from jobs.small import Words, copied, manifest, wheelleg
 from wheelleg_exp.run.run_lock import this_process
 from wheelleg_exp.run.source_snapshot import RECORD_NAME
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("forks")]
 
 PROJECT = """[project]
 name = "lab"

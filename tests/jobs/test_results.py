@@ -34,7 +34,7 @@ from wheelleg_exp.run.records import read_record as read_facts
 from wheelleg_exp.run.run_directory import RunDirectory
 from wheelleg_exp.verify import FactDifference
 
-pytestmark = pytest.mark.train
+pytestmark = [pytest.mark.train, pytest.mark.usefixtures("forks")]
 
 FOLDER = configs_dir().parent / "docs" / "results"
 

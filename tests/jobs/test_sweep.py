@@ -321,6 +321,7 @@ def test_a_damaged_config_of_a_sweep_is_one_message(tmp_path, text):
 
 
 @pytest.mark.train
+@pytest.mark.usefixtures("forks")
 def test_a_resumed_sweep_resumes_unfinished_runs_and_leaves_finished_ones(run, tmp_path):
     half = shutil.copytree(run.path, run.path.with_name(f"{run.id}-2"))
     (half / "model_2.pt").unlink()

@@ -19,6 +19,7 @@ import onnxruntime
 import pytest
 import torch
 import yaml
+from forks import forking
 from patience import PATIENCE_S
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -258,28 +259,14 @@ def test_handlers_of_signals_come_back(trained):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-# The trainings are forks, so that the modules are imported once; the last training has the terminal.
-_FORKS = """
-import fcntl, os, signal, sys, termios
-import wheelleg_exp.jobs.train.run_training
+# A process that starts a session and opens a terminal gets the terminal's hang-up.
+_TRAIN = """
+import fcntl, os, sys, termios
 from wheelleg_exp.cli.main import main
 
-terminal, *roots = int(sys.argv[1]), *sys.argv[2:5]
-children = []
-for root in roots:
-    children.append(os.fork())
-    if children[-1] == 0:
-        signal.alarm(600)
-        os.chdir(root)
-        if root == roots[-1]:
-            os.setsid()
-            fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
-        else:
-            terminal = os.open("said", os.O_CREAT | os.O_RDWR)
-        for stream in range(3):
-            os.dup2(terminal, stream)
-        sys.exit(main(["train", *sys.argv[5:], f"run.root={root}"]))
-print(*[os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children])
+if os.isatty(0):
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+sys.exit(main())
 """
 
 
@@ -289,16 +276,23 @@ def stopped(tmp_path_factory):
     roots = {number: tmp_path_factory.mktemp(number.name) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     master, slave = os.openpty()
     os.set_blocking(master, False)
-    words = [*roots.values(), *SMALL, "agent.max_iterations=100000", "agent.save_interval=1000"]
-    command = [sys.executable, "-c", _FORKS, str(slave), *map(str, words)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[slave]) as process:
-        os.close(slave)
-        try:
-            _signal_each_after(roots, master, iterations=3)
-            statuses = process.communicate(timeout=PATIENCE_S)[0].split()
-        finally:
+    command = [sys.executable, "-c", _TRAIN, "train", *SMALL, "agent.max_iterations=100000", "agent.save_interval=1000"]
+    processes = []
+    with forking():
+        for number, root in roots.items():
+            file = slave if number is signal.SIGHUP else os.open(root / "said", os.O_CREAT | os.O_RDWR)
+            words = [*command, f"run.root={root}"]
+            processes.append(
+                subprocess.Popen(words, stdin=file, stdout=file, stderr=file, cwd=root, start_new_session=file == slave)
+            )
+            os.close(file)
+    try:
+        _signal_each_after(roots, master, iterations=3)
+        statuses = [process.wait(PATIENCE_S) for process in processes]
+    finally:
+        for process in processes:
             process.kill()
-    return {number: (int(status), only_run(roots[number])) for number, status in zip(roots, statuses, strict=True)}
+    return {number: (status, only_run(roots[number])) for number, status in zip(roots, statuses, strict=True)}
 
 
 def _signal_each_after(roots: dict, terminal: int, iterations: int) -> None:

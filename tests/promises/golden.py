@@ -16,7 +16,6 @@ import json
 import math
 import os
 import re
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -203,7 +202,7 @@ def compose(every: int = 1) -> dict[str, Any]:
             found[" ".join(words)] = _leaves(*words)
         for group, package in list(_MOUNTS.items())[::every]:
             found[f"all of {group}"] = _changes(stand, _all_terms(folder, group, package))
-        for task in TASKS:
+        for task in TASKS[::every]:
             found[f"shapes of {task}"] = answer("compose", "--shapes", f"task={task}")
         for kind in ("tasks", "terms", "groups", "options", "pipelines"):
             found[f"list {kind}"] = answer("list", kind)
@@ -260,7 +259,7 @@ _EXPLAINED = [
 def explain(every: int = 1) -> dict[str, Any]:
     with scratch():
         found = {key: answer("explain", key) for key in _EXPLAINED[::every]}
-        for task in TASKS[1:]:
+        for task in TASKS[1::every]:
             for key in ("env.num_envs", "env.commands.base_velocity.ranges.lin_vel_x", "env.scene.terrain"):
                 found[f"{key} task={task}"] = answer("explain", key, f"task={task}")
         changed = "env.rewards.base_height.weight"
@@ -308,7 +307,7 @@ def check(every: int = 1) -> dict[str, Any]:
     """Check the stock configs, their numbers, mistakes in overrides and files, and implausible numbers."""
     with scratch() as folder:
         found: dict[str, Any] = {}
-        for task in TASKS:
+        for task in TASKS[::every]:
             found[f"task={task}"] = answer("check", "--physics", f"task={task}", digits=5)
         for words in [*_VARIANTS, *_DOUBTFUL][::every]:
             found[" ".join(words)] = _findings(*words)
@@ -454,10 +453,9 @@ def _trained(task: str, seed: int, threads: int) -> dict[str, Any]:
     with scratch() as folder:
         words = [f"task={task}", *_earlier(task), f"seed={seed}", "env.num_envs=64", "agent.max_iterations=3"]
         words += [f"env.sim.nthread={threads}", f"agent.torch_threads={threads}", "recording.enabled=false"]
-        script = Path(sys.executable).with_name("wheelleg")
-        done = subprocess.run([script, "train", *words, f"run.root={folder}/runs"], capture_output=True, text=True)
-        if done.returncode:
-            return {"status": done.returncode, "error": done.stderr}
+        status, _, err = command("train", *words, f"run.root={folder}/runs")
+        if status:
+            return {"status": status, "error": err}
         (run,) = (folder / "runs" / task).iterdir()
         saved = torch.load(run / "model_2.pt", map_location="cpu", weights_only=False)
         lines = [json.loads(line) for line in (run / "iterations.jsonl").read_text().splitlines()]

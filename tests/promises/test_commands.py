@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -107,15 +108,20 @@ _URDF = f"""<robot name="cart">
 """
 
 
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory) -> Path:
+    return unpack(tmp_path_factory.mktemp("unpacked"))
+
+
 @pytest.fixture
-def files(tmp_path, tmp_path_factory, monkeypatch) -> Iterator[dict[str, str]]:
+def files(unpacked, tmp_path, tmp_path_factory, monkeypatch) -> Iterator[dict[str, str]]:
     here, elsewhere = tmp_path / "here", tmp_path / "here" / "elsewhere"
     here.mkdir()
     monkeypatch.chdir(here)
     monkeypatch.setenv("WHEELLEG_CACHE", str(tmp_path_factory.getbasetemp() / "wheelleg-cache"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # A replay restores the source in this folder.
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    run = unpack(elsewhere / "runs")
+    run = Path(shutil.copytree(unpacked, elsewhere / "runs" / "stand" / unpacked.name))
     task = elsewhere / "mine" / "task" / "mine.yaml"
     task.parent.mkdir(parents=True)
     task.write_text("# @package _global_\n# A task of the user.\ndefaults: [stand, _self_]\nenv: {num_envs: 3}\n")

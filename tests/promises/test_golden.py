@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from forks import forking
 
 from wheelleg_exp.sim.sensors.contact_sensor import TIMES
 from wheelleg_exp.state import same
@@ -253,7 +254,8 @@ def test_the_old_run_is_resumed_as_if_it_had_never_stopped(old_run, answered):
 @pytest.mark.slow
 def test_the_old_run_is_replayed(old_run, answered, tmp_path, monkeypatch):
     require_old_code(tmp_path, monkeypatch)
-    status, out, err = command("replay", "latest", "--repository", REPOSITORY, "--json")
+    with forking():
+        status, out, err = command("replay", "latest", "--repository", REPOSITORY, "--json")
     assert status in (0, 1), err
     states = {name: part["state"] for name, part in json.loads(out)["comparison"]["parts"].items()}
     assert {states["files"], states["settings"], states["robot"]} == {"equal"}

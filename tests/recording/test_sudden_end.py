@@ -4,6 +4,7 @@ import sys
 import textwrap
 
 import pytest
+from forks import forking
 
 from wheelleg_exp.recording.reading.recording_reader import Recording
 
@@ -46,7 +47,8 @@ _STEPS = 154
 def killed(mjcf, tmp_path_factory) -> tuple[Recording, Recording]:
     root = tmp_path_factory.mktemp("killed")
     words = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(mjcf), str(root)]
-    done = subprocess.run(words, capture_output=True, text=True)
+    with forking():
+        done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr
     return Recording(root / "play.rrd"), Recording(done.stdout.strip())
 
