@@ -28,7 +28,7 @@ OFFERED = {
     "wheelleg compose --package env.sim.s": ["env.sim.solver"],
     "wheelleg train tas": ["task=", "task."],
     "wheelleg train robot=p": ["robot=physical", "robot=physical_motor"],
-    "wheelleg train pipeline=": ["pipeline=first_drive", "pipeline=get_up", "pipeline=jump", "pipeline=stand_to_terrain"],
+    "wheelleg train pipeline=": [f"pipeline={name}" for name in ("first_drive", "get_up", "jump", "stand_to_terrain")],
     "wheelleg train reward@env.rewards=[al": ["reward@env.rewards=[alive"],
     "wheelleg train reward@env.rewards=[alive,a": [
         "reward@env.rewards=[alive,action_acceleration",

@@ -454,7 +454,7 @@ def test_an_incomplete_record_is_reported_and_not_read(whole: PipelineIndex, tmp
 def test_pipelines_are_listed_those_declared_and_those_begun(whole: PipelineIndex, declared_two):
     said = wheelleg("list", "pipelines", *declared_two[1:], "--root", whole.root, "--json")
     rows = {(row["pipeline"], row["status"]): row for row in json.loads(said.out)}
-    stock = {("first_drive", "declared"), ("get_up", "declared"), ("jump", "declared"), ("stand_to_terrain", "declared")}
+    stock = {(name, "declared") for name in ("first_drive", "get_up", "jump", "stand_to_terrain")}
     assert set(rows) == {*stock, ("two", "declared"), ("two", "finished")}
     assert rows["stand_to_terrain", "declared"]["phases"] == "stand, walk, velocity, terrain"
     assert rows["two", "declared"]["help"] == "Two of a kind."
