@@ -8,6 +8,7 @@ import os
 
 import pytest
 import torch
+from forks import forking
 from jobs.ranks import end, start
 from jobs.small import TINY
 
@@ -139,7 +140,8 @@ with joined() as ranks:
 
 def test_processes_that_train_together_update_as_rsl_rl_does(mjcf, tmp_path):
     words = ["task=stand", *TINY, "agent.algorithm.desired_kl=0.002", str(mjcf)]
-    found = end(start([words], tmp_path, _TOGETHER))
+    with forking():
+        found = end(start([words], tmp_path, _TOGETHER))
     assert all(out for _, out, _ in found), found
     ours, theirs = zip(*(json.loads(out) for _, out, _ in found), strict=True)
     for (rates, losses, weights), (their_rates, their_losses, their_weights) in zip(ours, theirs, strict=True):

@@ -139,6 +139,7 @@ def test_a_log_that_the_model_cannot_repeat_is_refused(words, tmp_path):
     assert not (tmp_path / "mine.yaml").exists()
 
 
+@pytest.mark.full
 @pytest.mark.slow
 def test_the_simulated_chirps_of_a_bundle_give_the_parameters_of_its_robot(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
