@@ -24,7 +24,6 @@ from pathlib import Path
 from unittest import mock
 
 PACKAGES = "torch._dynamo rsl_rl.runners torch.utils.tensorboard rerun hydra mujoco.batch pxr.Usd pyarrow onnx"
-_FLAGS = {"-P", "-u"}
 _SET_CHILD_SUBREAPER = 36  # linux/prctl.h
 _MOST = 1 << 17  # bytes of a request
 _LOCK = threading.Lock()
@@ -97,24 +96,25 @@ def _serve(channel: socket.socket) -> None:
             return
         reader, writer = os.pipe()
         if (parent := os.fork()) == 0:
-            if (child := os.fork()) == 0:
-                for stream, number in zip(streams, range(3), strict=True):
-                    os.dup2(stream, number)
-                for file in (*streams, reader, writer, channel.detach()):
-                    os.close(file)
-                _become(*pickle.loads(data))
-                return
-            os.write(writer, b"%d" % child)
-            os._exit(0)
+            if os.fork():
+                os._exit(0)
+            words, cwd, env, group = pickle.loads(data)
+            os.setsid() if group is None else os.setpgid(0, group)
+            os.write(writer, b"%d" % os.getpid())
+            for stream, number in zip(streams, range(3), strict=True):
+                os.dup2(stream, number)
+            for file in (*streams, reader, writer, channel.detach()):
+                os.close(file)
+            _become(words, cwd, env)
+            return
         os.waitpid(parent, 0)
         channel.send(os.read(reader, 99))
         for file in (*streams, reader, writer):
             os.close(file)
 
 
-def _become(words: Sequence[str], cwd: str, env: Mapping[str, str], group: int | None) -> None:
+def _become(words: Sequence[str], cwd: str, env: Mapping[str, str]) -> None:
     """Run a program of Python in this process."""
-    os.setsid() if group is None else os.setpgid(0, group)
     os.chdir(cwd)
     own = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     os.environ.clear()
@@ -135,7 +135,7 @@ def _become(words: Sequence[str], cwd: str, env: Mapping[str, str], group: int |
 def _program(words: Sequence[str]) -> tuple[str, str, list[str]] | None:
     """Return ``-c``, ``-m``, or "", its argument or a file, and ``sys.argv``; None for other options of Python."""
     rest = list(words[1:])
-    while rest and rest[0] in _FLAGS:
+    if rest[:1] == ["-P"]:
         rest.pop(0)
     if rest[:1] in (["-c"], ["-m"]):
         return rest[0], rest[1], [rest[0], *rest[2:]]

@@ -105,10 +105,8 @@ def test_limx_policies_with_an_encoder_equal_their_runner_and_faults_are_noticed
         return max(runners.differences(env, turned, runner).values())
 
     assert worst() < 1e-4  # the merged network rounds more
-    if kind != "isaaclab":
-        return
     terms, order = "env.observations.policy.terms", "[r01,l01,l02,r02,l03,r03]"
     faults = (f"env.robot.joint_order={order}", f"{terms}.dof_vel.scale=0.1", f"+{terms}.gravity_vec.scale=-1.0")
-    for fault in faults:
+    for fault in faults if kind == "isaaclab" else faults[:1]:
         assert worst(fault) > 1e-2, fault
     assert worst(reverse=True) > 1e-2

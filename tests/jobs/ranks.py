@@ -41,7 +41,8 @@ def start(commands: Sequence[Sequence[str]], folder: Path, script: str = _SCRIPT
     words = json.dumps([[str(word) for word in command] for command in commands])
     return [
         subprocess.Popen(
-            [sys.executable, "-c", script, words, ports],
+            # With -R, the second process is not a fork, and has other hashes of strings.
+            [sys.executable, *["-R"] * rank, "-c", script, words, ports],
             env={**os.environ, **shared, "RANK": str(rank), "LOCAL_RANK": str(rank)},
             cwd=folder,
             text=True,

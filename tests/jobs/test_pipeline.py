@@ -40,7 +40,7 @@ GATE = {"protocol": "stand", "at_least": {"stand/survival": 0.5}}
 
 
 class Quiet(Display):
-    """A display that stores its notes, and the finished and all iterations of each progress."""
+    """A display that stores its notes, and the finished and total iterations of each progress report."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []

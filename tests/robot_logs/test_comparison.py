@@ -18,9 +18,9 @@ from .test_robot_log import write_csv
 JOINTS = ("l01", "r01", "l02", "r02", "l03", "r03")
 
 
-@pytest.fixture(autouse=True)
-def _few_windows(monkeypatch):
-    # A search for the likeliest faults in 12 of the 40 windows finds the same ones in half the time.
+@pytest.fixture
+def few_windows(monkeypatch):
+    """Search for the likeliest faults in 12 of the 40 windows, which finds the same ones in half the time."""
     monkeypatch.setattr(log_comparison, "_FEW", 12)
 
 
@@ -83,6 +83,7 @@ RARE = {"order", "unit", "noise"}
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_windows")
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.full if k in RARE else ()) for k in FAULTS])
 def test_a_seeded_fault_is_the_only_finding(stand, clean, kind):
     fault, columns, value = FAULTS[kind]
@@ -93,6 +94,7 @@ def test_a_seeded_fault_is_the_only_finding(stand, clean, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_windows")
 def test_drives_with_wrong_gains_are_found(stand):
     (finding,) = compare_log(log_of(drive(stand[0], 5.0, gain=0.75)), *stand).findings
     assert (finding.kind, finding.value) == ("gain", pytest.approx(0.75, rel=0.1))
@@ -127,6 +129,7 @@ def rubbing(model) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_windows")
 @pytest.mark.parametrize(
     ("step", "fault", "kinds"),
     [(1.003, dict, []), pytest.param(0.93, dict, ["rate"], marks=pytest.mark.full), (1.1, tilted, ["rate", "offset"])],
@@ -138,6 +141,7 @@ def test_the_rate_of_the_control_loop_is_named_first(stand, step, fault, kinds):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_windows")
 @pytest.mark.parametrize(
     ("fault", "kinds"), [pytest.param(dict, ["model"], marks=pytest.mark.full), (tilted, ["offset", "model"])]
 )
@@ -148,6 +152,7 @@ def test_friction_that_is_not_simulated_is_not_blamed_on_a_sensor(stand, fault, 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_windows")
 def test_a_payload_is_not_blamed_on_the_imu_alone(stand):
     (finding,) = compare_log(log_of(drive(stand[0], 5.0, edit=heavier)), *stand).findings
     assert finding.columns == ("projected_gravity.x",)
@@ -188,8 +193,7 @@ def test_the_order_of_a_quaternion_is_checked(clean, shift, findings):
 
 
 @pytest.mark.train
-def test_the_command_compares_plots_and_refuses(clean, trained, tmp_path, monkeypatch):
-    monkeypatch.undo()
+def test_the_command_compares_plots_and_refuses(clean, trained, tmp_path):
     run, log = trained.run, write_csv(tmp_path / "log.csv", clean)
     said = wheelleg("inspect", log, "--against", run.path, "--plot", tmp_path / "log.png", "--json")
     document = json.loads(said.out)

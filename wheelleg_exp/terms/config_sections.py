@@ -113,7 +113,7 @@ class Key(NamedTuple):
 
 
 @functools.cache
-def keys_of(options: type) -> dict[str, Key]:
+def keys_of(options: type) -> Mapping[str, Key]:
     """Return the keys that a config section accepts, which are the fields of the section's dataclass."""
     hints = typing.get_type_hints(options, include_extras=True)
     missing = dataclasses.MISSING
