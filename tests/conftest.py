@@ -48,7 +48,7 @@ def _equal_compositions() -> Iterator[None]:
     """Merge equal config files once per process, because Hydra needs 0.3 s; only overrides of values are applied again.
 
     Two merges are equal if the overrides that select options, the search path, and the user's config files are equal.
-    Other merges use the parsed stock files again, each at its place in the tree, which saves a third of the time.
+    Other merges use the parsed stock files again, which saves a third of the time.
     """
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
 
@@ -57,7 +57,6 @@ def _equal_compositions() -> Iterator[None]:
 
     merge, known, stock = ConfigLoaderImpl.load_configuration, {}, configs_dir()
     load, parsed = Repository._load_file, {}
-    compose, placed = ConfigLoaderImpl._compose_config_from_defaults_list, {}
 
     def read_once(self: Repository, config_path: str) -> Any:
         files = self.files(config_path)
@@ -68,15 +67,6 @@ def _equal_compositions() -> Iterator[None]:
             parsed[config_path] = pickle.dumps((result, self.loaded[config_path]))
         result, self.loaded[config_path] = pickle.loads(parsed[config_path])
         return result
-
-    def placed_once(self: ConfigLoaderImpl, defaults: list[Any], repo: Any) -> Any:
-        file = repo.loaded.get(defaults[0].config_path) if isinstance(self, Loader) and len(defaults) == 1 else None
-        if file is None or not file.file.is_relative_to(stock):
-            return compose(self, defaults, repo)
-        key = pickle.dumps(defaults)
-        if key not in placed:
-            placed[key] = pickle.dumps(compose(self, defaults, repo))
-        return pickle.loads(placed[key])
 
     def remembered(self: ConfigLoaderImpl, *words: Any, **named: Any) -> Any:
         if not isinstance(self, Loader):
@@ -105,10 +95,8 @@ def _equal_compositions() -> Iterator[None]:
         return tree
 
     ConfigLoaderImpl.load_configuration, Repository._load_file = remembered, read_once
-    ConfigLoaderImpl._compose_config_from_defaults_list = placed_once
     yield
     ConfigLoaderImpl.load_configuration, Repository._load_file = merge, load
-    ConfigLoaderImpl._compose_config_from_defaults_list = compose
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -7,6 +7,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import ReadonlyConfigError
 
 from wheelleg_exp.config.tree_lookup import at
+from wheelleg_exp.errors import ConfigError
 
 FOO = {"_target_": "shelf_terms.alive", "weight": 2}
 POLICY, CRITIC = "env.observations.policy.terms", "env.observations.critic.terms"
@@ -73,11 +74,39 @@ def test_a_task_of_the_user_extends_a_stock_task_and_its_files_are_known(compose
     assert stock / "reward" / "height.yaml" not in files
 
 
-def test_composing_gives_what_hydra_gives(composed, stock):
-    overrides = ["task=walk", "env.rewards.height.weight=-3", "~env.events.push"]
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"env": {"episode_length_s": "???", "decimation": None, "new": "???"}},
+        {"env": {"scene": None, "episode_length_s": {"short": 1.0, "long": [2, {"a": "${seed}"}]}}},
+        {"env": {"robot": {"order": [], "length": [1.0], "joint_pos": {"wheel": "${seed}", 3: 0.5}}}},
+        {"env": {"robot": {"joint_pos": 0.0}, "sim": {}, "scene": {"spacing": {}}}},
+        # In these cases, values of one file decide what happens to values of another file.
+        {"env": {"copy": {"solver": "cg"}}},
+        {"env": {"other": "???"}},
+    ],
+)
+def test_composing_gives_what_hydra_gives(composed, edit, stock, values):
+    base = "# @package _global_\ndefaults:\n  - walk\n  - _self_\nenv:\n  copy: ${env.sim}\n  other: ${env.scene}\n"
+    edit("task/base.yaml", base)
+    edit("task/odd.yaml", "# @package _global_\ndefaults:\n  - base\n  - _self_\n" + yaml.safe_dump(values))
+    overrides = ["task=odd", "env.rewards.height.weight=-3", "~env.events.push", "seed=3", "++env.new=1"]
     with initialize_config_dir(str(stock), version_base="1.3"):
         expected = hydra_compose("train", overrides)
-    assert OmegaConf.to_container(composed(*overrides).raw) == OmegaConf.to_container(expected)
+    assert OmegaConf.to_yaml(composed(*overrides).raw) == OmegaConf.to_yaml(expected)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("hydra: {searchpath: []}", "only supported from the primary config"),
+        ("env: {robot: [1]}", "does not merge: Cannot merge DictConfig with ListConfig"),
+    ],
+)
+def test_a_file_that_does_not_fit_to_the_files_before_it_is_refused(composed, edit, line, message):
+    edit("task/walk.yaml", f"# @package _global_\ndefaults:\n  - stand\n  - _self_\n{line}\n")
+    with pytest.raises(ConfigError, match=message):
+        composed("task=walk")
 
 
 def test_composing_does_not_change_hydras_globals(composed, stock):

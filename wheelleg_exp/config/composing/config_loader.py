@@ -10,10 +10,11 @@ import functools
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
 from hydra import version
@@ -33,7 +34,7 @@ from omegaconf._utils import get_yaml_loader
 
 from wheelleg_exp.config.composing import hydra_errors
 from wheelleg_exp.config.composing.hydra_errors import COMPOSING_ERRORS, NowhereMounted, where_of
-from wheelleg_exp.config.composing.provenance import ConfigFile, Provenance
+from wheelleg_exp.config.composing.provenance import MISSING, ConfigFile, Provenance
 from wheelleg_exp.config.composing.sized_values import register
 from wheelleg_exp.config.config_errors import follows_from
 from wheelleg_exp.config.tree_lookup import file_text, yaml_node
@@ -171,7 +172,7 @@ class Repository(CachingConfigRepository):
 
     def _load_file(self, config_path: str) -> ConfigResult:
         file = chosen_file(config_path, self.files(config_path))
-        result = _load(self._read, config_path, file)
+        result, content = _load(self._read, config_path, file)
         lines = file.read_text(encoding="utf-8").splitlines()
         marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
         first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
@@ -180,10 +181,7 @@ class Repository(CachingConfigRepository):
             key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
             expected = "one '# @package some.path' as the first line of the file"
             raise ConfigError("the file's '# @package' line has no effect", key=key, where=where, expected=expected)
-        content = OmegaConf.to_container(result.config, resolve=False)
-        named = {str(name): value for name, value in content.items()} if isinstance(content, dict) else {}
-        # Copy each file's content, because Hydra changes the config objects while it composes the config.
-        self.loaded[config_path] = ConfigFile(config_path, file, named)
+        self.loaded[config_path] = ConfigFile(config_path, file, content)
         return result
 
     def files(self, config_path: str) -> list[Path]:
@@ -192,22 +190,24 @@ class Repository(CachingConfigRepository):
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
 
-    def _read(self, config_path: str, file: Path) -> ConfigResult:
-        """Read a config file like Hydra, but with the faster parser libyaml."""
+    def _read(self, config_path: str, file: Path) -> tuple[ConfigResult, dict[str, object]]:
+        """Read a config file like Hydra, but with the faster parser libyaml; also return its content as a dict."""
         yaml_node(file)
         text = file.read_text(encoding="utf-8")
         content = yaml.load(text, Loader=_yaml_loader())
-        if content is not None and not isinstance(content, (dict, str)):
+        content = {content: None} if isinstance(content, str) else {} if content is None else content
+        if not isinstance(content, dict):
             where, expected = show_file(file, 1), "'key: value' lines"
             message = "the config file does not contain a mapping"
             raise ConfigError(message, key=config_path, where=where, expected=expected)
         name = ConfigSource._normalize_file_name(config_path)
         source = next(s for s in self.get_sources() if s.scheme() == "file" and Path(s.path) / name == file)
-        config, header = OmegaConf.create(content or {}), ConfigSource._get_header_dict(text[:512])
+        config, header = OmegaConf.create(content), ConfigSource._get_header_dict(text[:512])
         result = ConfigResult(source.provider, f"file://{source.path}", config, header)
         listed = self.delegate._extract_defaults_list(config_path, config)
         result.defaults_list = self.delegate._create_defaults_list(config_path, listed)
-        return result
+        content.pop("defaults", None)
+        return result, content
 
 
 @functools.cache
@@ -218,7 +218,10 @@ def _yaml_loader() -> type[yaml.SafeLoader]:
     return loader if fast is None else type("Loader", (fast, loader), {})
 
 
-def _load(load: Callable[[str, Path], ConfigResult], config_path: str, file: Path) -> ConfigResult:
+_Read = TypeVar("_Read")
+
+
+def _load(load: Callable[[str, Path], _Read], config_path: str, file: Path) -> _Read:
     try:
         return load(config_path, file)
     except Unreadable as error:
@@ -400,22 +403,18 @@ class Loader(ConfigLoaderImpl):
             if path in repo.loaded and not path.startswith("hydra/"):
                 self.files.append(replace(repo.loaded[path], package=package, parent=parent))
         compose = super()._compose_config_from_defaults_list
-        first: DictConfig
         try:
-            first, *others = [compose([default], repo) for default in present]
-            # Merge all files at once, because OmegaConf visits the whole config tree after each merge.
-            with flag_override(first, "no_deepcopy_set_nodes", True):
-                first.merge_with(*others)
+            config = _merged(present, repo, compose)
         except COMPOSING_ERRORS:
             try:
-                first = compose(present, repo)  # Hydra's own method raises an error that names the invalid file.
+                config = compose(present, repo)  # Hydra's own method raises an error that names the invalid file.
             except COMPOSING_ERRORS as error:
                 problem = hydra_errors.merge_problem(error, repo)
                 self.note(problem)
                 raise problem from error
         for file in self.files:
             self.provenance.record_file(file)
-        return first
+        return config
 
     def _apply(self, cfg: DictConfig) -> DictConfig:
         """Apply the overrides of values one by one, and return the changed config."""
@@ -459,6 +458,51 @@ class Loader(ConfigLoaderImpl):
     def options(self, group: str) -> list[str]:
         found: list[str] = self.repository.get_group_options(group, ObjectType.CONFIG)
         return found
+
+
+def _merged(
+    defaults: Sequence[ResultDefault],
+    repo: Repository,
+    compose: Callable[[list[ResultDefault], Repository], DictConfig],
+) -> DictConfig:
+    """Merge config files as nested dicts, because OmegaConf visits the whole config tree after each merged file.
+
+    Hydra's ``compose`` merges only Hydra's own settings. Raise ValueError if OmegaConf must merge all files.
+    """
+    tree: dict[Any, Any] = {}
+    settings: list[DictConfig] = []
+    for default in defaults:
+        path = str(default.config_path)
+        if path not in repo.loaded or path.startswith("hydra/"):
+            settings.append(compose([default], repo))
+            continue
+        content: dict[Any, Any] = dict(repo.loaded[path].content)
+        for key in reversed(split_path(default.package or "")):
+            content = {key: content}
+        if "hydra" in content and default.primary:
+            settings.append(OmegaConf.create({"hydra": content.pop("hydra")}))
+        _merge(tree, content)
+    if any(set(config) - {"hydra"} for config in settings) or "hydra" in tree:
+        raise ValueError("a file sets both Hydra's settings and other keys")
+    first, *others = settings
+    with flag_override(first, "no_deepcopy_set_nodes", True):
+        first.merge_with(*others, OmegaConf.create(tree))
+    return first
+
+
+def _merge(tree: dict[Any, Any], content: Mapping[Any, Any]) -> None:
+    for key, value in content.items():
+        old = tree.get(key)
+        is_reference = isinstance(old, str) and "${" in old
+        is_other = isinstance(old, (dict, list)) and isinstance(value, (dict, list)) and type(old) is not type(value)
+        if is_other or (is_reference and (isinstance(value, dict) or value == MISSING)):
+            raise ValueError(f"'{key}' can only be merged by OmegaConf")
+        if isinstance(value, dict):
+            if not isinstance(old, dict):
+                old = tree[key] = {}
+            _merge(old, value)
+        elif key not in tree or value != MISSING:
+            tree[key] = value
 
 
 # A file of the config group ``task`` needs the line ``# @package _global_``, even if the group has no other file.
