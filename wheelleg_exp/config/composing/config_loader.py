@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 from hydra import version
@@ -170,28 +170,32 @@ class Repository(CachingConfigRepository):
                         found = True
         return found
 
-    def _load_file(self, config_path: str) -> ConfigResult:
-        file = chosen_file(config_path, self.files(config_path))
-        result, content = _load(self._read, config_path, file)
-        lines = file.read_text(encoding="utf-8").splitlines()
-        marked = [number for number, line in enumerate(lines, 1) if _PACKAGE_LINE.match(line)]
-        first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
-        wrong = [number for number in marked if number != first or not _HEADER.match(lines[number - 1])]
-        if wrong:
-            key, where = lines[wrong[0] - 1].strip(), show_file(file, wrong[0])
-            expected = "one '# @package some.path' as the first line of the file"
-            raise ConfigError("the file's '# @package' line has no effect", key=key, where=where, expected=expected)
-        self.loaded[config_path] = ConfigFile(config_path, file, content)
-        return result
-
     def files(self, config_path: str) -> list[Path]:
         """Return the files of one name, such as ``reward/alive.yaml``, in all config folders; Hydra reads the first."""
         name = ConfigSource._normalize_file_name(config_path)
         folders = [Path(s.path) for s in self.get_sources() if s.scheme() == "file"]
         return [folder / name for folder in folders if (folder / name).is_file()]
 
-    def _read(self, config_path: str, file: Path) -> tuple[ConfigResult, dict[str, object]]:
-        """Read a config file like Hydra, but with the faster parser libyaml; also return its content as a dict."""
+    def _load_file(self, config_path: str) -> ConfigResult:
+        file = chosen_file(config_path, self.files(config_path))
+        try:
+            return self._read(config_path, file)
+        except Unreadable as error:
+            cause: Exception = error
+            line, problem = error.line, f"the file is not valid YAML: {error.problem}"
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            line = mark.line + 1 if mark is not None else None
+            cause, problem = error, f"the file is not valid YAML: {error.problem or error.context}"
+        except ConfigError:
+            raise
+        except Exception as error:  # A value that contradicts its tag, such as `!!int text`, can raise any exception.
+            line = _line_of_message(file, str(error))
+            cause, problem = error, "the file cannot be read: " + " ".join(str(error).split())
+        raise ConfigError(problem, key=config_path, where=show_file(file, line)) from cause
+
+    def _read(self, config_path: str, file: Path) -> ConfigResult:
+        """Read a config file like Hydra, but with the faster parser libyaml, and add it to ``loaded``."""
         yaml_node(file)
         text = file.read_text(encoding="utf-8")
         content = yaml.load(text, Loader=_yaml_loader())
@@ -206,8 +210,15 @@ class Repository(CachingConfigRepository):
         result = ConfigResult(source.provider, f"file://{source.path}", config, header)
         listed = self.delegate._extract_defaults_list(config_path, config)
         result.defaults_list = self.delegate._create_defaults_list(config_path, listed)
-        content.pop("defaults", None)
-        return result, content
+        lines = text.splitlines()
+        first = next((number for number, line in enumerate(lines, 1) if line.strip()), 0)
+        for number, line in enumerate(lines, 1):
+            if _PACKAGE_LINE.match(line) and (number != first or not _HEADER.match(line)):
+                key, where = line.strip(), show_file(file, number)
+                expected = "one '# @package some.path' as the first line of the file"
+                raise ConfigError("the file's '# @package' line has no effect", key=key, where=where, expected=expected)
+        self.loaded[config_path] = ConfigFile(config_path, file, {k: v for k, v in content.items() if k != "defaults"})
+        return result
 
 
 @functools.cache
@@ -216,27 +227,6 @@ def _yaml_loader() -> type[yaml.SafeLoader]:
     loader = get_yaml_loader()
     fast = getattr(yaml, "CSafeLoader", None)
     return loader if fast is None else type("Loader", (fast, loader), {})
-
-
-_Read = TypeVar("_Read")
-
-
-def _load(load: Callable[[str, Path], _Read], config_path: str, file: Path) -> _Read:
-    try:
-        return load(config_path, file)
-    except Unreadable as error:
-        cause: Exception = error
-        line, problem = error.line, f"the file is not valid YAML: {error.problem}"
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        line = mark.line + 1 if mark is not None else None
-        cause, problem = error, f"the file is not valid YAML: {error.problem or error.context}"
-    except ConfigError:
-        raise
-    except Exception as error:  # A YAML value that contradicts its tag, such as `!!int text`, can raise any exception.
-        line = _line_of_message(file, str(error))
-        cause, problem = error, "the file cannot be read: " + " ".join(str(error).split())
-    raise ConfigError(problem, key=config_path, where=show_file(file, line)) from cause
 
 
 def _line_of_message(file: Path, message: str) -> int | None:
