@@ -394,7 +394,7 @@ class Loader(ConfigLoaderImpl):
                 self.files.append(replace(repo.loaded[path], package=package, parent=parent))
         compose = super()._compose_config_from_defaults_list
         try:
-            config = _merged(present, repo, compose)
+            config = self._merged(present, repo)
         except COMPOSING_ERRORS:
             try:
                 config = compose(present, repo)  # Hydra's own method raises an error that names the invalid file.
@@ -405,6 +405,29 @@ class Loader(ConfigLoaderImpl):
         for file in self.files:
             self.provenance.record_file(file)
         return config
+
+    def _merged(self, defaults: Sequence[ResultDefault], repo: Repository) -> DictConfig:
+        """Merge config files as nested dicts, because OmegaConf visits the whole config tree after each merged file.
+
+        Hydra merges its own settings, which come first. Raise ValueError if Hydra must merge all files.
+        """
+        tree: dict[Any, Any] = {}
+        settings: list[DictConfig] = []
+        for default in defaults:
+            path = str(default.config_path)
+            if path not in repo.loaded or path.startswith("hydra/"):
+                settings.append(super()._compose_config_from_defaults_list([default], repo))
+                continue
+            content: dict[Any, Any] = dict(repo.loaded[path].content)
+            for key in reversed(split_path(default.package or "")):
+                content = {key: content}
+            if "hydra" in content and not default.primary:
+                raise ValueError(f"'{path}' changes Hydra's settings")
+            _merge(tree, content)
+        first, *others = settings
+        with flag_override(first, "no_deepcopy_set_nodes", True):
+            first.merge_with(*others, OmegaConf.create(tree))
+        return first
 
     def _apply(self, cfg: DictConfig) -> DictConfig:
         """Apply the overrides of values one by one, and return the changed config."""
@@ -450,37 +473,8 @@ class Loader(ConfigLoaderImpl):
         return found
 
 
-def _merged(
-    defaults: Sequence[ResultDefault],
-    repo: Repository,
-    compose: Callable[[list[ResultDefault], Repository], DictConfig],
-) -> DictConfig:
-    """Merge config files as nested dicts, because OmegaConf visits the whole config tree after each merged file.
-
-    Hydra's ``compose`` merges only Hydra's own settings. Raise ValueError if OmegaConf must merge all files.
-    """
-    tree: dict[Any, Any] = {}
-    settings: list[DictConfig] = []
-    for default in defaults:
-        path = str(default.config_path)
-        if path not in repo.loaded or path.startswith("hydra/"):
-            settings.append(compose([default], repo))
-            continue
-        content: dict[Any, Any] = dict(repo.loaded[path].content)
-        for key in reversed(split_path(default.package or "")):
-            content = {key: content}
-        if "hydra" in content and default.primary:
-            settings.append(OmegaConf.create({"hydra": content.pop("hydra")}))
-        _merge(tree, content)
-    if any(set(config) - {"hydra"} for config in settings) or "hydra" in tree:
-        raise ValueError("a file sets both Hydra's settings and other keys")
-    first, *others = settings
-    with flag_override(first, "no_deepcopy_set_nodes", True):
-        first.merge_with(*others, OmegaConf.create(tree))
-    return first
-
-
 def _merge(tree: dict[Any, Any], content: Mapping[Any, Any]) -> None:
+    """Merge nested dicts by OmegaConf's rules: a list replaces a list, and ``???`` replaces nothing."""
     for key, value in content.items():
         old = tree.get(key)
         is_reference = isinstance(old, str) and "${" in old
