@@ -66,6 +66,23 @@ def test_a_silence_in_a_file_is_not_about_a_value_of_the_user(capsys):
     assert report["findings"] == []
 
 
+def test_a_silence_in_a_stock_file_is_not_about_a_value_in_a_file_of_the_user(capsys, tmp_path):
+    task = tmp_path / "configs" / "task" / "kicked.yaml"
+    task.parent.mkdir(parents=True)
+    text = (
+        "# @package _global_\ndefaults: [walk, _self_]\nenv: {events: {push_robot: {velocity_range: {x: [-3, 3]}}}}\n"
+    )
+    task.write_text(text)
+    words = ("task=kicked", f"--config-dir={task.parents[1]}")
+    _, report = physics(capsys, *words)
+    assert [(f["rule"], f["where"]) for f in report["findings"]] == [("push_size", f"{task}:3")]
+    task.write_text(text + "check: {silence: {push_size: a fall is wanted}}\n")
+    status, report = physics(capsys, *words)
+    assert (status, report["findings"]) == (0, [])
+    _, report = physics(capsys, *words, "env.events.push_robot.velocity_range.x=[-4,4]")
+    assert [f["rule"] for f in report["findings"]] == ["push_size"]
+
+
 def test_silences_name_a_rule_can_be_removed_and_are_reported_if_they_have_no_effect(capsys):
     wrong = "agent.algorithm.num_mini_batches=7"
     status, report = physics(capsys, wrong, "++check.silence.ppo_batch=rest is dropped")

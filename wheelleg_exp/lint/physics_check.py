@@ -19,6 +19,7 @@ from wheelleg_exp.lint.reward_tolerances import contributions, earned_per_second
 from wheelleg_exp.lint.rule import RULES as _RULES
 from wheelleg_exp.lint.rule import Case, Finding, Rule
 from wheelleg_exp.managers import SceneManager
+from wheelleg_exp.paths import configs_dir
 from wheelleg_exp.terms.config_sections import read_section
 
 RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
@@ -28,14 +29,14 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 class PhysicsReport:
     """The findings of ``wheelleg check --physics`` for one config, and the config's reasons to silence lint rules.
 
-    ``overridden`` are the keys that overrides set. A silence in a file is about the values in files, so it does not
-    apply to a finding about an overridden value.
+    ``levels`` says who set each key: 0 means a stock file, 1 a file of the user, 2 an override. A silence is about the
+    values of its own and of lower levels.
     """
 
     case: Case
     findings: tuple[Finding, ...]
     reasons: Mapping[str, str]
-    overridden: frozenset[str]
+    levels: Mapping[str, int]
 
     @property
     def open(self) -> list[Finding]:
@@ -49,10 +50,9 @@ class PhysicsReport:
 
     def silences(self, finding: Finding) -> bool:
         """Return whether the config silences a finding."""
-        own = {f"{section}.silence.{finding.rule}" for section in ("check", "env.robot")}
-        if finding.rule not in self.reasons or own & self.overridden:
-            return finding.rule in self.reasons
-        return not any(key == finding.key or key.startswith(f"{finding.key}.") for key in self.overridden)
+        level = max(self.levels.get(f"{section}.silence.{finding.rule}", 0) for section in ("check", "env.robot"))
+        values = (of for key, of in self.levels.items() if key == finding.key or key.startswith(f"{finding.key}."))
+        return finding.rule in self.reasons and level >= max(values, default=0)
 
     @property
     def unused(self) -> list[str]:
@@ -111,8 +111,12 @@ def examine(composed: Composed) -> PhysicsReport:
     placed = [replace(finding, where=composed.provenance.where(finding.key)) for finding in found]
     silences = [config.env.robot.silence, config.check.silence if config.check is not None else {}]
     reasons = {name: why for given in silences for name, why in given.items() if why is not None}
-    overridden = frozenset(key for key, source in composed.provenance.items() if source.override is not None)
-    return PhysicsReport(case, tuple(placed), reasons, overridden)
+    stock = configs_dir()
+    levels = {
+        key: int(not source.file.is_relative_to(stock)) if source.file is not None else 2
+        for key, source in composed.provenance.items()
+    }
+    return PhysicsReport(case, tuple(placed), reasons, levels)
 
 
 def facts_rows(facts: RobotFacts) -> list[tuple[str, str, str]]:
