@@ -50,6 +50,12 @@ _INSTEAD = {
     "sweeper": "hydra.sweeper.params, overrides by key",
     "verbose": "--debug, which shows the traceback of an error",
 }
+# Other keys of a run's parameters contain copies of these values of the robot, which were references before.
+_COPIES = {
+    "env.robot.physics_dt": "env.sim.dt",
+    "env.robot.decimation": "env.decimation",
+    "env.robot.action_scales": "env.actions.<term>.scale",
+}
 _ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath and, with -m, the launcher's are read"
 
 
@@ -257,7 +263,7 @@ def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dic
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
     An override cannot select an option of a config group, because ``apply_overrides`` reads no config files. Null terms
-    are removed. An override of a missing key or of one of Hydra's own settings raises ConfigError.
+    are removed. An override of a missing key, of a copied value, or of one of Hydra's settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -273,6 +279,9 @@ def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dic
         adds = override.is_add() or override.is_force_add()
         if keys[-1] not in parent and not adds:
             raise _unknown(changed, keys, text)
+        if copied := _COPIES.get(dotted(keys[:3])):
+            message, where = "the run contains a copy of this value", f"override {text}"
+            raise UnreadKey(message, key=dotted(keys), where=where, expected=copied)
         if override.is_delete():
             del parent[keys[-1]]
         else:
