@@ -2,6 +2,7 @@ import pytest
 import yaml
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir, version
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from omegaconf.errors import ReadonlyConfigError
@@ -86,14 +87,32 @@ def test_a_task_of_the_user_extends_a_stock_task_and_its_files_are_known(compose
         {"env": {"other": "???"}},
     ],
 )
-def test_composing_gives_what_hydra_gives(composed, edit, stock, values):
+def test_composing_gives_what_hydra_gives(composed, edit, stock, values, monkeypatch):
     base = "# @package _global_\ndefaults:\n  - walk\n  - _self_\nenv:\n  copy: ${env.sim}\n  other: ${env.scene}\n"
     edit("task/base.yaml", base)
     edit("task/odd.yaml", "# @package _global_\ndefaults:\n  - base\n  - _self_\n" + yaml.safe_dump(values))
     overrides = ["task=odd", "env.rewards.height.weight=-3", "~env.events.push", "seed=3", "++env.new=1"]
     with initialize_config_dir(str(stock), version_base="1.3"):
         expected = hydra_compose("train", overrides)
+    compose, merged = ConfigLoaderImpl._compose_config_from_defaults_list, []
+
+    def counted(self, defaults, repo):
+        merged.append(len(defaults))
+        return compose(self, defaults, repo)
+
+    monkeypatch.setattr(ConfigLoaderImpl, "_compose_config_from_defaults_list", counted)
     assert OmegaConf.to_yaml(composed(*overrides).raw) == OmegaConf.to_yaml(expected)
+    assert (max(merged) > 1) == (not {"copy", "other"}.isdisjoint(values["env"]))  # Hydra merges only these files.
+
+
+def test_a_file_of_a_package_is_merged_in_its_place(composed, stock):
+    package = stock.parent / "shelf_package"
+    (package / "task").mkdir(parents=True)
+    for folder in (package, package / "task"):
+        (folder / "__init__.py").touch()
+    text = "# @package _global_\ndefaults: [walk, _self_]\nenv: {decimation: 7}\n"
+    (package / "task" / "packed.yaml").write_text(text)
+    assert composed("task=packed", "hydra.searchpath=[pkg://shelf_package]").config["env"]["decimation"] == 7
 
 
 @pytest.mark.parametrize(
@@ -103,7 +122,7 @@ def test_composing_gives_what_hydra_gives(composed, edit, stock, values):
         ("env: {robot: [1]}", "does not merge: Cannot merge DictConfig with ListConfig"),
     ],
 )
-def test_a_file_that_does_not_fit_to_the_files_before_it_is_refused(composed, edit, line, message):
+def test_a_file_that_cannot_be_merged_with_earlier_files_is_refused(composed, edit, line, message):
     edit("task/walk.yaml", f"# @package _global_\ndefaults:\n  - stand\n  - _self_\n{line}\n")
     with pytest.raises(ConfigError, match=message):
         composed("task=walk")

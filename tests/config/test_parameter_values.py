@@ -10,7 +10,7 @@ from wheelleg_exp.config.checking.find_mistakes import check, check_tree
 from wheelleg_exp.config.composing.compose import apply_overrides, compose
 from wheelleg_exp.config.explaining.catalog import library
 from wheelleg_exp.env import ManagerBasedRLEnv
-from wheelleg_exp.errors import ConfigError, UnreadKey
+from wheelleg_exp.errors import ConfigError
 from wheelleg_exp.rl.options import read_agent, require_agent
 from wheelleg_exp.run.manifest import Manifest
 from wheelleg_exp.run.run_config import write_params
@@ -240,14 +240,6 @@ def test_building_the_agent_refuses_a_wrong_value_with_the_same_message(override
     with pytest.raises(ConfigError) as caught:
         require_agent(read_agent(tree["agent"]), 2)
     assert [str(caught.value)] == checked
-
-
-def test_an_override_of_a_value_that_a_run_has_copied_names_the_copy(stand):
-    for key, copied in (("physics_dt", "env.sim.dt"), ("decimation", "env.decimation")):
-        with pytest.raises(UnreadKey, match=f"env.robot.{key}: the run contains a copy .*; expected {copied}"):
-            apply_overrides(stand[0], [f"env.robot.{key}=2"])
-    with pytest.raises(UnreadKey, match=r"expected env\.actions\.<term>\.scale"):
-        apply_overrides(stand[0], ["env.robot.action_scales.legs=0.1"])
 
 
 def _targets() -> list[str]:

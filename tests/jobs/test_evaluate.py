@@ -50,6 +50,8 @@ def test_a_wrong_protocol_robot_or_unread_override_is_refused(run, overrides, wo
 
 UNREAD = ["env.rewards.alive.weight=9", "~env.rewards.alive", "env.num_envs=4", "env.episode_length_s=9.0"]
 UNREAD += ["env.events.push_robot.velocity_range.x=[-1.0,1.0]", "env.terminations.time_out=null", "agent.device=cuda"]
+# In the task's files, other keys refer to these keys.
+UNREAD += ["env.robot.physics_dt=0.002", "env.robot.standing_height=0.1", "env.robot.action_scales.legs=0.3"]
 
 
 @pytest.mark.parametrize("override", UNREAD)

@@ -79,6 +79,10 @@ def test_a_silence_in_a_stock_file_is_not_about_a_value_in_a_file_of_the_user(ca
     task.write_text(text + "check: {silence: {push_size: a fall is wanted}}\n")
     status, report = physics(capsys, *words)
     assert (status, report["findings"]) == (0, [])
+    task.write_text(text)
+    _, report = physics(capsys, *words, "++env.robot.silence.push_size=null")
+    assert [f["rule"] for f in report["findings"]] == ["push_size"]
+    task.write_text(text + "check: {silence: {push_size: a fall is wanted}}\n")
     _, report = physics(capsys, *words, "env.events.push_robot.velocity_range.x=[-4,4]")
     assert [f["rule"] for f in report["findings"]] == ["push_size"]
 

@@ -83,7 +83,7 @@ def test_gains_are_found_where_a_simulated_drive_grows(kp, kd, explicit):
 
 
 def test_an_integrator_that_is_not_implicit_makes_every_drive_explicit():
-    stiff = with_joint("hip", drive={"damping": 20.0})  # kd·dt/I = 2
+    stiff = with_joint("hip", drive={"damping": 20.0})  # kd·dt/I = 2: an explicit drive needs less
     assert found("gains_against_time_step", case(stiff)) == []
     (finding,) = found("gains_against_time_step", case(stiff, sim={"integrator": "euler"}))
     assert finding.key == "env.robot.actuators.legs.damping"

@@ -29,8 +29,8 @@ RULES: dict[str, Rule] = {name: _RULES[name] for name in PHYSICS_RULES}
 class PhysicsReport:
     """The findings of ``wheelleg check --physics`` for one config, and the config's reasons to silence lint rules.
 
-    ``levels`` says who set each key: 0 means a stock file, 1 a file of the user, 2 an override. A silence is about the
-    values of its own and of lower levels.
+    ``levels`` contains the level of each key's source: 0 is a stock file, 1 a file of the user, 2 an override. A
+    silence applies to values of its own level and of lower levels.
     """
 
     case: Case
@@ -51,8 +51,8 @@ class PhysicsReport:
     def silences(self, finding: Finding) -> bool:
         """Return whether the config silences a finding."""
         level = max(self.levels.get(f"{section}.silence.{finding.rule}", 0) for section in ("check", "env.robot"))
-        values = (of for key, of in self.levels.items() if key == finding.key or key.startswith(f"{finding.key}."))
-        return finding.rule in self.reasons and level >= max(values, default=0)
+        found = (at for key, at in self.levels.items() if key == finding.key or key.startswith(f"{finding.key}."))
+        return finding.rule in self.reasons and level >= max(found, default=0)
 
     @property
     def unused(self) -> list[str]:
@@ -115,6 +115,7 @@ def examine(composed: Composed) -> PhysicsReport:
     levels = {
         key: int(not source.file.is_relative_to(stock)) if source.file is not None else 2
         for key, source in composed.provenance.items()
+        if source.value is not None or ".silence." not in key
     }
     return PhysicsReport(case, tuple(placed), reasons, levels)
 

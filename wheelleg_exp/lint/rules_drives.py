@@ -188,7 +188,7 @@ def gains_against_time_step(case: Case) -> Iterator[Finding]:
     kp·dt²/I < 4 - 2·kd·dt/I (time step dt, joint inertia I); a drive with implicit damping, for kp·dt²/I < 4 +
     2·kd·dt/I. I includes the armature, and assumes that all joints can move. Source: Jury's stability criterion for
     MuJoCo's semi-implicit Euler method (documentation, chapter Computation, "Numerical integration"). Above kd·dt/I =
-    2.0, contacts of the links behind a position drive come and go, because MuJoCo computes contact forces without the
+    2, contacts of the links behind a position drive can come and go, because MuJoCo computes contact forces without the
     implicit damping (measured: docs/robots.md).
     """
     dt, integrator = case.physics_dt, case.env.sim.integrator

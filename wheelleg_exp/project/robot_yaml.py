@@ -297,7 +297,7 @@ def _physics_steps(robot: Survey) -> int:
     """Return the number of physics steps per control step: short ones if drives damp the legs strongly."""
     damping, joints = leg_gains(robot).damping, robot.facts.joints
     worst = max((_STEP * damping[name] / joints[name].effective for name in damping), default=0.0)
-    return math.ceil(_decimation(robot) * max(1.0, worst / MOST_DAMPING))
+    return math.ceil(_decimation(robot) * max(1.0, worst / MOST_DAMPING) - 1e-9)
 
 
 def _action_scales(robot: Survey) -> dict[str, float]:

@@ -50,12 +50,9 @@ _INSTEAD = {
     "sweeper": "hydra.sweeper.params, overrides by key",
     "verbose": "--debug, which shows the traceback of an error",
 }
-# Other keys of a run's parameters contain copies of these values of the robot, which were references before.
-_COPIES = {
-    "env.robot.physics_dt": "env.sim.dt",
-    "env.robot.decimation": "env.decimation",
-    "env.robot.action_scales": "env.actions.<term>.scale",
-}
+# In a config, other keys refer to these keys of ``env.robot``. The parameters of a run contain the resolved values.
+_REFERRED = {"physics_dt", "decimation", "action_scales", "joint_sets", "body_sets", "standing_height", "wheel_radius"}
+_REFERRED |= {"size", "mass", "natural_speed", "leg_reach"}
 _ANY_SETTING = "a key of the config; of Hydra's settings, only hydra.searchpath and, with -m, the launcher's are read"
 
 
@@ -263,7 +260,7 @@ def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dic
     """Return a copy of ``tree`` with overrides applied: ``key=value``, ``+key=value``, ``++key=value``, ``~key``.
 
     An override cannot select an option of a config group, because ``apply_overrides`` reads no config files. Null terms
-    are removed. An override of a missing key, of a copied value, or of one of Hydra's settings raises ConfigError.
+    are removed. An override of a missing key or of one of Hydra's own settings raises ConfigError.
     """
     changed = copy.deepcopy(dict(tree))
     for text in overrides:
@@ -279,9 +276,6 @@ def apply_overrides(tree: Mapping[str, object], overrides: Sequence[str]) -> dic
         adds = override.is_add() or override.is_force_add()
         if keys[-1] not in parent and not adds:
             raise _unknown(changed, keys, text)
-        if copied := _COPIES.get(dotted(keys[:3])):
-            message, where = "the run contains a copy of this value", f"override {text}"
-            raise UnreadKey(message, key=dotted(keys), where=where, expected=copied)
         if override.is_delete():
             del parent[keys[-1]]
         else:
@@ -309,9 +303,11 @@ def require_read(
         keys = split_path(_parse(text).key_or_group)
         # Check a removed key in the config without the overrides.
         tree = changed if at(changed, keys) is not None else recorded
-        if not _is_used(at(tree, keys), at(read(tree), keys)):
+        is_referred = keys[:2] == ("env", "robot") and not _REFERRED.isdisjoint(keys[2:3])
+        if is_referred or not _is_used(at(tree, keys), at(read(tree), keys)):
             key = dotted(keys)
             expected = next(what for name, what in instead.items() if not name or f"{key}.".startswith(f"{name}."))
+            expected = "the key that contains its value, such as env.sim.dt" if is_referred else expected
             where = f"override {text}"
             errors.append(UnreadKey("this command ignores the key", key=key, where=where, expected=expected))
     if errors:

@@ -417,6 +417,8 @@ class Loader(ConfigLoaderImpl):
             path = str(default.config_path)
             if path not in repo.loaded or path.startswith("hydra/"):
                 settings.append(super()._compose_config_from_defaults_list([default], repo))
+                if tree or set(settings[-1]) - {"hydra"}:  # a file that is not a local file, or has a mistake
+                    raise ValueError(f"'{path}' must be merged in its place")
                 continue
             content: dict[Any, Any] = dict(repo.loaded[path].content)
             for key in reversed(split_path(default.package or "")):
