@@ -16,9 +16,8 @@ nox.options.default_venv_backend = "none"
 nox.options.error_on_external_run = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # Hundreds of child processes share the compiled modules.
 
-# All tests of a file run in one process and share its trainings; long files do not run last. A process waits in a tenth
-# of its time, for browsers and child processes, so there is one process more than cores.
-SPREAD = ("-n", str((os.cpu_count() or 1) + 1), "--dist", "loadfile", "--no-loadscope-reorder")
+# All tests of a file run in one process and share its trainings; long files do not run last.
+SPREAD = ("-n", str(os.cpu_count() or 1), "--dist", "loadfile", "--no-loadscope-reorder")
 _MAIN = "import sys; from wheelleg_exp.cli.main import main; sys.exit(main())"
 _PURELIB = "import sysconfig; print(sysconfig.get_path('purelib'))"
 # `quick` leaves out these folders of tests, which start commands, and all tests with these marks.
