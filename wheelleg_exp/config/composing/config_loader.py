@@ -199,7 +199,10 @@ class Repository(CachingConfigRepository):
         yaml_node(file)
         text = file.read_text(encoding="utf-8")
         content = yaml.load(text, Loader=_yaml_loader())
-        content = {content: None} if isinstance(content, str) else {} if content is None else content
+        if content is None:
+            content = {}
+        elif isinstance(content, str):
+            content = {content: None}
         if not isinstance(content, dict):
             where, expected = show_file(file, 1), "'key: value' lines"
             message = "the config file does not contain a mapping"
