@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import hashlib
 import os
@@ -52,12 +53,17 @@ def _equal_compositions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     Other merges use the parsed stock files again. The processes that share the tests share merges of stock files.
     """
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
+    from omegaconf import _utils
+    from omegaconf import base as nodes
 
     from wheelleg_exp.config.composing.config_loader import Loader, Repository
     from wheelleg_exp.paths import configs_dir
 
     merge, known, stock = ConfigLoaderImpl.load_configuration, {}, configs_dir()
     load, parsed = Repository._load_file, {}
+    # A parsed reference, such as `${env.sim.dt}`, depends on its text alone.
+    parse = _utils.parse
+    _utils.parse = nodes.parse = functools.lru_cache(4096)(parse)
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "merged"
     shared.mkdir(exist_ok=True)
@@ -108,6 +114,7 @@ def _equal_compositions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     ConfigLoaderImpl.load_configuration, Repository._load_file = remembered, read_once
     yield
     ConfigLoaderImpl.load_configuration, Repository._load_file = merge, load
+    _utils.parse = nodes.parse = parse
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -20,12 +20,13 @@ PHASES = compose(["pipeline=stand_to_terrain"], primary="pipeline").config["pipe
 
 
 KINDS = ("grid", "waves", "obstacles", "stairs", "stairs_inverted", "slope_inverted")
+STEPS = words("steps", episodes=1, stand_s=1.0, drive_s=2.0)
 WALK = words("walk", episodes=1, horizon_s=3.0, steady_s=1.5, lin_vel_x="[-0.3,0.0,0.3]")
 SMALL = {
     "gate_stand": words("stand", episodes=4, horizon_s=4.0, survival_s="[4.0]"),
-    "gate_walk": WALK,
+    "gate_walk": (*WALK, *STEPS),
     "gate_velocity": WALK,
-    "walk": (*WALK, *words("walk", ang_vel_z="[-0.5,0.0,0.5]"), *words("steps", episodes=1, stand_s=1.0, drive_s=2.0)),
+    "walk": (*WALK, *words("walk", ang_vel_z="[-0.5,0.0,0.5]"), *STEPS),
     "push": words("push", episodes=1, iterations=2, highest=0.4, directions=2, at_s=1.1, after_s=2.0),
     "robust": (
         *words("robust", episodes=1, horizon_s=2.0, friction="[0.6]"),
