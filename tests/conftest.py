@@ -52,6 +52,7 @@ def _equal_compositions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     Two merges are equal if the overrides that select options, the search path, and the user's config files are equal.
     Other merges use the parsed stock files again. The processes that share the tests share merges of stock files.
     """
+    from hydra._internal import defaults_list
     from hydra._internal.config_loader_impl import ConfigLoaderImpl
     from omegaconf import _utils
     from omegaconf import base as nodes
@@ -61,9 +62,15 @@ def _equal_compositions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
 
     merge, known, stock = ConfigLoaderImpl.load_configuration, {}, configs_dir()
     load, parsed = Repository._load_file, {}
-    # A parsed reference, such as `${env.sim.dt}`, depends on its text alone.
+    # The parse tree of a reference, such as `${env.sim.dt}`, depends only on its text; its value is found each time.
     parse = _utils.parse
     _utils.parse = nodes.parse = functools.lru_cache(4096)(parse)
+    choices = defaults_list._create_interpolation_map  # Hydra calls it for each file, and reads it for references only.
+
+    def choices_for_references(overrides: Any, defaults: Any, self_added: bool) -> Any:
+        return choices(overrides, defaults, self_added) if any(d.is_interpolation() for d in defaults) else None
+
+    defaults_list._create_interpolation_map = choices_for_references
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "merged"
     shared.mkdir(exist_ok=True)
@@ -114,7 +121,7 @@ def _equal_compositions(tmp_path_factory: pytest.TempPathFactory) -> Iterator[No
     ConfigLoaderImpl.load_configuration, Repository._load_file = remembered, read_once
     yield
     ConfigLoaderImpl.load_configuration, Repository._load_file = merge, load
-    _utils.parse = nodes.parse = parse
+    _utils.parse, nodes.parse, defaults_list._create_interpolation_map = parse, parse, choices
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

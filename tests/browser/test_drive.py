@@ -49,8 +49,9 @@ class Driving:
         return self.chrome.script("return document.querySelector('#drive-time')?.innerText ?? ''")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
+    """Open the page of a policy once, because the browser loads it slowly; the test of the keys ends the drive."""
     with DrivePage(0, ["own", "rough"], []) as page:
         found = Driving(page, chrome)
         wish = DriveRequest(played, overrides=[*_RANGES, "drive.fall_shown_s=0.1"])
@@ -64,6 +65,60 @@ def driving(chrome: Chrome, played: RunDirectory) -> Iterator[Driving]:
             wait_until(lambda: hasattr(page, "_controls"))
             page._controls.request(Finish())
             thread.join()
+
+
+# A simulated gamepad. As in browsers, each call of getGamepads returns a new object.
+_PAD = """
+window.pad = {axes: [0, 0, 0, 0], down: []};
+navigator.getGamepads = () => [null, {
+  connected: true, mapping: 'standard', axes: window.pad.axes,
+  buttons: Array.from({length: 17}, (_, i) => ({pressed: window.pad.down.includes(i), value: 0})),
+}, null, null];
+"""
+
+
+def test_a_gamepad_drives(driving: Driving, monkeypatch: pytest.MonkeyPatch):
+    chrome, asked = driving.chrome, {"lin_vel_x": 0.0, "ang_vel_z": 0.0}
+
+    def sticks(left_x: float, left_y: float, right_x: float, right_y: float = 0.0) -> None:
+        chrome.script(f"window.pad.axes = [{left_x}, {left_y}, {right_x}, {right_y}]")
+
+    def press(button: int) -> None:
+        chrome.script(f"window.pad.down = [{button}]; return new Promise(done => setTimeout(done, 200))")
+
+    def asks(**values: float) -> bool:
+        return wait_until(lambda: driving.controls.values == pytest.approx({**asked, **values}, abs=1e-6))
+
+    assert wait_until(lambda: chrome.script("return window.wheellegDrive?.socket.readyState === 1"))
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.0)
+    chrome.script(_PAD)
+    sticks(0.0, -1.0, 0.0)  # The left stick points forwards.
+    assert asks(lin_vel_x=0.3)
+    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)  # The command is 0.3 m/s.
+    sticks(0.9, 0.5, 1.0)  # The left stick is half back, the right stick right.
+    assert asks(lin_vel_x=-0.15, ang_vel_z=-0.3)
+    sticks(0.0, 0.1, -0.1, 1.0)  # All sticks are in the dead zone.
+    assert asks()
+    driving.controls.set("lin_vel_x", 0.2)  # A gamepad at rest does not override a slider.
+    assert chrome.script("return new Promise(done => setTimeout(() => done(true), 200))")
+    assert driving.controls.values["lin_vel_x"] == 0.2
+
+    requests: list[Any] = []
+    request = driving.controls.request
+    monkeypatch.setattr(driving.controls, "request", lambda one: (requests.append(one), request(one)))
+    press(9)
+    assert wait_until(lambda: driving.controls.paused and "paused" in driving.text())
+    assert driving.controls.paused  # A held button acts once.
+    for button in (0, 1, 2, 9):
+        press(button)
+    chrome.script("window.pad.down = []")
+    assert wait_until(lambda: not driving.controls.paused)
+    assert (requests, driving.controls.speed) == ([Push(driving.page._hands.push), Reset()], SLOW)
+
+    sticks(0.0, -1.0, 0.0)
+    assert asks(lin_vel_x=0.3)
+    chrome.script("navigator.getGamepads = () => [null, null, null, null]")  # The gamepad is disconnected.
+    assert asks()
 
 
 def test_keys_drive_and_the_page_shows_it(driving: Driving):
@@ -112,60 +167,6 @@ def test_keys_drive_and_the_page_shows_it(driving: Driving):
     figures = driving.made[0].figures
     assert figures["steps"] > 10
     assert (driving.made[0].folder / "recording.rrd").is_file()
-
-
-# A simulated gamepad. As in browsers, each call of getGamepads returns a new object.
-_PAD = """
-window.pad = {axes: [0, 0, 0, 0], down: []};
-navigator.getGamepads = () => [null, {
-  connected: true, mapping: 'standard', axes: window.pad.axes,
-  buttons: Array.from({length: 17}, (_, i) => ({pressed: window.pad.down.includes(i), value: 0})),
-}, null, null];
-"""
-
-
-def test_a_gamepad_drives(driving: Driving):
-    chrome, asked = driving.chrome, {"lin_vel_x": 0.0, "ang_vel_z": 0.0}
-
-    def sticks(left_x: float, left_y: float, right_x: float, right_y: float = 0.0) -> None:
-        chrome.script(f"window.pad.axes = [{left_x}, {left_y}, {right_x}, {right_y}]")
-
-    def press(button: int) -> None:
-        chrome.script(f"window.pad.down = [{button}]; return new Promise(done => setTimeout(done, 200))")
-
-    def asks(**values: float) -> bool:
-        return wait_until(lambda: driving.controls.values == pytest.approx({**asked, **values}, abs=1e-6))
-
-    assert wait_until(lambda: chrome.script("return window.wheellegDrive?.socket.readyState === 1"))
-    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.0)
-    chrome.script(_PAD)
-    sticks(0.0, -1.0, 0.0)  # The left stick points forwards.
-    assert asks(lin_vel_x=0.3)
-    assert wait_until(lambda: driving.shown("lin_vel_x") == 0.3)  # The command is 0.3 m/s.
-    sticks(0.9, 0.5, 1.0)  # The left stick is half back, the right stick right.
-    assert asks(lin_vel_x=-0.15, ang_vel_z=-0.3)
-    sticks(0.0, 0.1, -0.1, 1.0)  # All sticks are in the dead zone.
-    assert asks()
-    driving.controls.set("lin_vel_x", 0.2)  # A gamepad at rest does not override a slider.
-    assert chrome.script("return new Promise(done => setTimeout(() => done(true), 200))")
-    assert driving.controls.values["lin_vel_x"] == 0.2
-
-    requests: list[Any] = []
-    request = driving.controls.request
-    driving.controls.request = lambda one: (requests.append(one), request(one))
-    press(9)
-    assert wait_until(lambda: driving.controls.paused and "paused" in driving.text())
-    assert driving.controls.paused  # A held button acts once.
-    for button in (0, 1, 2, 9):
-        press(button)
-    chrome.script("window.pad.down = []")
-    assert wait_until(lambda: not driving.controls.paused)
-    assert (requests, driving.controls.speed) == ([Push(driving.page._hands.push), Reset()], SLOW)
-
-    sticks(0.0, -1.0, 0.0)
-    assert asks(lin_vel_x=0.3)
-    chrome.script("navigator.getGamepads = () => [null, null, null, null]")  # The gamepad is disconnected.
-    assert asks()
 
 
 def test_a_port_in_use_is_reported():

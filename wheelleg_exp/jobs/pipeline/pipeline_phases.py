@@ -101,6 +101,7 @@ def judge(gate: Gate, metrics: Mapping[str, float | None]) -> Verdict:
             why.append(f"{name} is {shown}, but must be {'at least' if least else 'at most'} {bound:g}")
     down = [value for name, value in metrics.items() if name.endswith("/wheels_down_share") and value is not None]
     if why and min(down, default=1.0) < _LEAST_CONTACT:
-        advice = "halve physics_dt and double decimation in the robot's file, unless it jumps or crosses obstacles"
-        why.append(f"a wheel is off the ground in {1.0 - min(down):.0%} of the steps: before a new training, {advice}")
+        advice = "before a new training, halve physics_dt and double decimation in the robot's YAML file"
+        lifted = "unless the robot jumps or crosses obstacles"
+        why.append(f"a wheel is off the ground in {1.0 - min(down):.0%} of the steps: {lifted}, {advice}")
     return Verdict(not why, values, why)
